@@ -1,4 +1,4 @@
-"""The two kinds of depth loss: which pixels suffer which, the paper's partition, and the parallax that causes one of them.
+"""The two kinds of depth loss: which pixels suffer which, the paper's partition, and the parallax behind one kind.
 
 Optical loss lies inside the region of transparent or reflective objects; geometric loss lies outside it, mostly in the
 shadow that appears when depth measured by the infrared cameras is carried over into the view of the RGB camera.
@@ -83,8 +83,8 @@ def partition(rgb: np.ndarray, depth: np.ndarray, region: np.ndarray) -> Partiti
     Raises:
         ValueError: when shapes differ or the region is not boolean.
     """
-    depth = _depth_map("depth", depth)
-    region = _region(region, depth.shape)
+    depth = check_depth("depth", depth)
+    region = check_mask("region", region, depth.shape)
     if rgb.shape != (*depth.shape, 3):
         raise ValueError(
             f"rgb should be {(*depth.shape, 3)} to match the depth map, got {rgb.shape}; resize one of them"
@@ -105,7 +105,7 @@ def label(depth: np.ndarray, depth_gt: np.ndarray, region: np.ndarray) -> np.nda
 
     A reading is wrong when ``|depth - depth_gt| > max(WRONG_ABS_M, WRONG_REL * depth_gt)``.
 
-    Paper: Sec. III-A, Fig. 4 (it counts these kinds and does not give its threshold; ours is 10 mm or 2 %).
+    Paper: Sec. III, Fig. 4 (it counts these kinds and does not give its threshold; ours is 10 mm or 2 %).
 
     Args:
         depth: (H, W) raw metres, 0 = missing.
@@ -118,9 +118,9 @@ def label(depth: np.ndarray, depth_gt: np.ndarray, region: np.ndarray) -> np.nda
     Raises:
         ValueError: when shapes differ, depth is negative or not finite, or the region is not boolean.
     """
-    depth = _depth_map("depth", depth)
-    depth_gt = _depth_map("depth_gt", depth_gt, depth.shape)
-    region = _region(region, depth.shape)
+    depth = check_depth("depth", depth)
+    depth_gt = check_depth("depth_gt", depth_gt, depth.shape)
+    region = check_mask("region", region, depth.shape)
     wrong = np.abs(depth - depth_gt) > np.maximum(WRONG_ABS_M, WRONG_REL * depth_gt)
     kind = np.where(depth == 0, 2, wrong).astype(np.uint8)  # fine, wrong, missing = 0, 1, 2
     codes = kind + np.where(region, LossType.INSIDE_FINE, LossType.OUTSIDE_FINE).astype(np.uint8)
@@ -131,10 +131,10 @@ def label(depth: np.ndarray, depth_gt: np.ndarray, region: np.ndarray) -> np.nda
 def shadow_width_px(z_near: float, z_far: float, baseline_m: float, fx: float) -> float:
     """Return how wide, in pixels, the parallax shadow is that an edge at ``z_near`` casts on a surface at ``z_far``.
 
-    A point at depth z moves by ``fx * baseline / z`` pixels between two parallel cameras, so the far side of the edge is
-    laid bare over the difference of the two shifts.
+    A point at depth z moves by ``fx * baseline / z`` pixels between two parallel cameras, so the far side of the edge
+    is laid bare over the difference of the two shifts.
 
-    Paper: Sec. III-A, Fig. 3 (described there in words).
+    Paper: Sec. III, Fig. 3 (described there in words).
 
     Raises:
         ValueError: for depths that are not positive or not in order.
@@ -151,7 +151,7 @@ def reproject(depth_ir: np.ndarray, camera_ir: Camera, camera_rgb: Camera, rgb_f
     finer than the target's pixels, so that a surface seen from the new camera has no lattice holes and grows by no more
     than half a source pixel. Where the new camera sees what the old one did not, nothing lands: the parallax shadow.
 
-    Paper: Sec. III-A, Fig. 3 (geometric depth loss).
+    Paper: Sec. III, Fig. 3 (geometric depth loss).
 
     Args:
         depth_ir: (h, w) metres in the source view, 0 = missing.
@@ -165,7 +165,7 @@ def reproject(depth_ir: np.ndarray, camera_ir: Camera, camera_rgb: Camera, rgb_f
     Raises:
         ValueError: when the depth map does not fit its camera or the motion is not (4, 4).
     """
-    depth_ir = _depth_map("depth_ir", depth_ir, (camera_ir.height, camera_ir.width))
+    depth_ir = check_depth("depth_ir", depth_ir, (camera_ir.height, camera_ir.width))
     motion = np.asarray(rgb_from_ir, dtype=np.float64)
     if motion.shape != (4, 4) or not np.isfinite(motion).all():
         raise ValueError(f"rgb_from_ir should be a finite (4, 4) rigid motion in metres, got shape {motion.shape}")
@@ -218,7 +218,17 @@ def _neighbours(length: int) -> tuple[np.ndarray, np.ndarray]:
     return np.arange(length - 1), np.arange(1, length)
 
 
-def _depth_map(name: str, depth: np.ndarray, shape: tuple[int, ...] | None = None) -> np.ndarray:
+def check_depth(name: str, depth: np.ndarray, shape: tuple[int, ...] | None = None) -> np.ndarray:
+    """Return ``depth`` as float32 after checking that it is a depth map: (H, W) floating-point metres, 0 = missing.
+
+    Args:
+        name: what to call it in the message.
+        depth: the array to check.
+        shape: the shape it should have; None for any (H, W).
+
+    Raises:
+        ValueError: for another shape, an integer dtype, negative or non-finite values.
+    """
     depth = np.asarray(depth)
     if depth.ndim != 2 or (shape is not None and depth.shape != tuple(shape)):
         expected = "(H, W)" if shape is None else str(tuple(shape))
@@ -226,12 +236,17 @@ def _depth_map(name: str, depth: np.ndarray, shape: tuple[int, ...] | None = Non
     if not np.issubdtype(depth.dtype, np.floating):
         raise ValueError(f"{name} should be floating-point metres, got {depth.dtype}; divide millimetres by 1000.0")
     if not (np.isfinite(depth) & (depth >= 0)).all():
-        raise ValueError(f"{name} has negative or non-finite values; call data.clean_depth first (missing is 0)")
+        raise ValueError(f"{name} has negative or non-finite values; call data.clean_depth first (0 means missing)")
     return depth.astype(np.float32, copy=False)
 
 
-def _region(region: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    region = np.asarray(region)
-    if region.dtype != bool or region.shape != tuple(shape):
-        raise ValueError(f"region should be bool {tuple(shape)}, got {region.dtype} {region.shape}; use mask > 0")
-    return region
+def check_mask(name: str, mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return ``mask`` after checking that it is bool and has this shape.
+
+    Raises:
+        ValueError: when it is not.
+    """
+    mask = np.asarray(mask)
+    if mask.dtype != bool or mask.shape != tuple(shape):
+        raise ValueError(f"{name} should be bool {tuple(shape)}, got {mask.dtype} {mask.shape}; use mask > 0")
+    return mask
