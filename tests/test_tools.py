@@ -1,0 +1,109 @@
+"""tools/: student copies lose exactly the solutions; the book has every page, linked, with alternative text."""
+
+import importlib.util
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
+
+ROOT = Path(__file__).resolve().parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+
+
+def load(name):
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+book, students = load("book"), load("student_copy")
+
+SOLVED = """def rmse(a, b):
+    \"\"\"Root mean square error.\"\"\"
+    # BEGIN SOLUTION
+    squares = (a - b) ** 2
+    return squares.mean() ** 0.5
+    # END SOLUTION
+print("after")"""
+
+
+def example():
+    stored = [new_output("stream", name="stdout", text="after\n")]
+    png = [new_output("display_data", data={"image/png": "iVBORw0KGgo=", "text/plain": "<Figure>"})]
+    tags = {"tags": ["nbval-check-output", "keep"]}
+    return new_notebook(
+        cells=[
+            new_markdown_cell("# Score a depth map\n\nSee [the next one](08_ablations.ipynb#top)."),
+            new_code_cell(SOLVED, outputs=stored, execution_count=1, metadata=tags),
+            new_code_cell("# NBVAL_CHECK_OUTPUT\nprint('after')", outputs=stored, execution_count=2),
+            new_code_cell("plot()", outputs=png, execution_count=3, metadata={"alt": "two rising curves"}),
+        ]
+    )
+
+
+def test_solution_becomes_a_stub_that_raises():
+    source = students.strip_solution(SOLVED)
+    assert "squares" not in source and "SOLUTION" not in source
+    names = {}
+    exec(source, names)  # the rest of the cell still runs
+    with pytest.raises(NotImplementedError, match="your turn"):
+        names["rmse"](1, 2)
+
+
+def test_two_solutions_in_one_cell():
+    source = students.strip_solution(SOLVED + "\n" + SOLVED.replace("rmse", "mae"))
+    assert source.count(students.STUB) == 2 and source.count('print("after")') == 2
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        (SOLVED.replace("    # END SOLUTION\n", ""), "never closed"),
+        (SOLVED.replace("    # BEGIN SOLUTION\n", ""), "without its partner"),
+        (SOLVED.replace("# END SOLUTION", "# BEGIN SOLUTION"), "without its partner"),
+        ("# BEGIN SOLUTION\nx = 1\n# END SOLUTION", "outside a function"),
+    ],
+)
+def test_bad_markers_are_refused(source, message):
+    with pytest.raises(ValueError, match=message):
+        students.strip_solution(source)
+
+
+def test_copy_differs_only_where_it_should():
+    notebook = example()
+    student = students.student_copy(notebook)
+    assert notebook == example() | {"cells": notebook.cells} and "squares" in notebook.cells[1].source
+    text, solved, checked, figure = student.cells
+    assert text == notebook.cells[0] and figure == notebook.cells[3]
+    assert solved.outputs == [] and solved.execution_count is None and solved.metadata.tags == ["keep"]
+    assert checked.source == "print('after')" and checked.outputs == notebook.cells[2].outputs
+
+
+def test_bad_notebook_is_named(tmp_path, capsys):
+    nbformat.write(new_notebook(cells=[new_code_cell("    # END SOLUTION")]), tmp_path / "bad.ipynb")
+    assert students.main([str(tmp_path / "bad.ipynb"), "--out", str(tmp_path / "out")]) == 1
+    assert "bad.ipynb: code cell 0, line 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_notebooks_have_student_copies(path, tmp_path):
+    [copy] = students.write_copies([path], tmp_path)
+    original, student = (nbformat.read(p, as_version=4) for p in (path, copy))
+    nbformat.validate(student)
+    assert len(student.cells) == len(original.cells)
+    for before, after in zip(original.cells, student.cells, strict=True):
+        assert students.CHECK_TAG not in after.metadata.get("tags", [])
+        solved = before.cell_type == "code" and students.BEGIN in before.source
+        assert (students.STUB in after.source) == solved
+        assert solved or before.cell_type == "code" or before == after
+
+
+def test_book_links_every_page_and_carries_alternative_text(tmp_path):
+    nbformat.write(example(), tmp_path / "07_metrics.ipynb")
+    index = book.render([tmp_path / "07_metrics.ipynb"], tmp_path / "book")
+    assert '<a href="07_metrics.html">07 Score a depth map</a>' in index.read_text()
+    page = (tmp_path / "book" / "07_metrics.html").read_text()
+    assert 'alt="two rising curves"' in page
+    assert 'href="08_ablations.html#top"' in page and ".ipynb#top" not in page
