@@ -1,0 +1,111 @@
+"""What every notebook must be: complete, in order, executed in order, small, described, and checked."""
+
+import re
+from pathlib import Path
+
+import nbformat
+import pytest
+
+NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.ipynb"))
+READING_ORDER = (
+    "00_start_here",
+    "01_depth_loss_anatomy",
+    "02_region_refinement",
+    "03_vq_autoencoder",
+    "04_ddpm_math",
+    "05_boundary_maps",
+    "06_full_pipeline",
+    "07_metrics",
+    "08_ablations",
+    "09_your_own_camera",
+    "10_training_at_scale",
+)
+MAX_NOTEBOOK_BYTES = 300_000
+MIN_ALT = 20  # characters: "figure" or "plot" describes nothing
+FIGURE = ("image/png", "image/jpeg", "image/svg+xml")
+# Headings that every notebook has, in this order.
+SECTIONS = {
+    "title": r"^# +\S",
+    "what you will build, learn, need": r"^#+ .*what you('ll| will)\b",
+    "exercises": r"^#+ .*\bexercises?\b",
+    "recap": r"^#+ .*\brecap\b",
+    "where the paper differs": r"^#+ .*\bpaper\b",
+    "measured run time": r"^#+ .*\brun[ -]?time\b",
+    "what next": r"^#+ .*\bnext\b",
+}
+
+
+def code_cells(notebook):
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def missing_sections(notebook):
+    """Return the parts of the template that a notebook lacks or has in the wrong order."""
+    text = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
+    missing, position = [], 0
+    for name, pattern in SECTIONS.items():
+        found = re.search(pattern, text[position:], flags=re.MULTILINE | re.IGNORECASE)
+        if found:
+            position += found.end()
+        else:
+            missing.append(name)
+    return missing
+
+
+def undescribed_figures(notebook):
+    """Return the numbers of the code cells that show a figure without describing it in ``metadata["alt"]``."""
+    cells = enumerate(code_cells(notebook))
+    shows = [(i, c) for i, c in cells if any(kind in out.get("data", {}) for out in c.outputs for kind in FIGURE)]
+    return [i for i, cell in shows if len(str(cell.metadata.get("alt", "")).strip()) < MIN_ALT]
+
+
+def out_of_order(notebook):
+    """Return the execution counts where they are not 1, 2, 3, … over the code cells that hold code."""
+    counts = [cell.execution_count for cell in code_cells(notebook) if cell.source.strip()]
+    return [] if counts == list(range(1, len(counts) + 1)) else counts
+
+
+def unexpected_errors(notebook):
+    cells = [c for c in code_cells(notebook) if any(out.output_type == "error" for out in c.outputs)]
+    return [cell.source for cell in cells if "raises-exception" not in cell.metadata.get("tags", [])]
+
+
+def good_notebook():
+    png = [nbformat.v4.new_output("display_data", data={"image/png": "", "text/plain": "<Figure>"})]
+    headings = "# Score a map\n## What you will build, learn and need\n## Exercises\n## Recap\n"
+    headings += "## Where the paper differs\n## Measured run time\n## What next"
+    cells = [
+        nbformat.v4.new_markdown_cell(headings),
+        nbformat.v4.new_code_cell("x = 1", execution_count=1),
+        nbformat.v4.new_code_cell("plot()", execution_count=2, outputs=png, metadata={"alt": "two curves, the upper"}),
+    ]
+    return nbformat.v4.new_notebook(cells=cells)
+
+
+def test_notebook_rules_can_fail():
+    assert not any(rule(good_notebook()) for rule in (missing_sections, undescribed_figures, out_of_order))
+    bad = good_notebook()
+    bad.cells[0].source = bad.cells[0].source.replace("## Recap\n", "") + "\n## Recap"
+    bad.cells[1].execution_count = None
+    bad.cells[1].outputs = [nbformat.v4.new_output("error", ename="E", evalue="", traceback=[])]
+    bad.cells[2].metadata.alt = "a plot"
+    assert missing_sections(bad) == ["where the paper differs", "measured run time", "what next"]
+    assert undescribed_figures(bad) == [1] and out_of_order(bad) == [None, 2] and unexpected_errors(bad) == ["x = 1"]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_notebook(path):
+    assert path.stem in READING_ORDER
+    assert path.stat().st_size <= MAX_NOTEBOOK_BYTES
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    assert missing_sections(notebook) == []
+    assert undescribed_figures(notebook) == []
+    assert out_of_order(notebook) == []
+    assert unexpected_errors(notebook) == []
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_notebook_has_checked_cells(path):
+    notebook = nbformat.read(path, as_version=4)
+    assert any("nbval-check-output" in cell.metadata.get("tags", []) for cell in code_cells(notebook))
