@@ -1,0 +1,171 @@
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+
+from ditr_lite import files
+
+
+def save_exr(path, **channels):
+    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels).write(str(path))
+    return path
+
+
+def save_image(path, array):
+    path.write_bytes(cv2.imencode(path.suffix, array)[1].tobytes())
+    return path
+
+
+@pytest.fixture
+def depth():
+    depth = np.random.default_rng(0).integers(300, 2000, (12, 16)).astype(np.float32) / np.float32(1000)
+    depth[2:4, 3:6] = 0
+    return depth
+
+
+@pytest.mark.parametrize("suffix", [".png", ".npy", ".exr"])
+def test_depth_survives_the_disk(tmp_path, depth, suffix):
+    path = tmp_path / "déjà vu" / f"depth{suffix}"  # made on the way, and not ASCII
+    files.write_depth(path, depth)
+    again = files.read_depth(path)
+    assert again.dtype == np.float32
+    np.testing.assert_allclose(again, depth, atol=1e-6 if suffix == ".png" else 0)
+    np.testing.assert_array_equal(again == 0, depth == 0)
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+def test_depth_scale_applies_to_integers_only(tmp_path):
+    units = np.full((4, 5), 4000, np.uint16)
+    png = save_image(tmp_path / "d.png", units)
+    np.save(tmp_path / "int.npy", units)
+    np.save(tmp_path / "float.npy", np.full((4, 5, 1), 1.25))
+    assert files.read_depth(png)[0, 0] == 4.0
+    assert files.read_depth(png, 0.00025)[0, 0] == 1.0
+    assert files.read_depth(tmp_path / "int.npy", 0.00025)[0, 0] == 1.0
+    assert files.read_depth(tmp_path / "float.npy", 0.00025)[0, 0] == 1.25
+    for scale in (0, -1, np.nan):
+        with pytest.raises(ValueError, match="metres per unit"):
+            files.read_depth(png, scale)
+
+
+def test_bad_readings_become_missing(tmp_path):
+    raw = np.array([[0.5, np.nan], [np.inf, -0.5]])
+    np.save(tmp_path / "d.npy", raw)
+    np.testing.assert_array_equal(files.read_depth(tmp_path / "d.npy"), np.array([[0.5, 0], [0, 0]], np.float32))
+    save_exr(tmp_path / "d.exr", Z=raw.astype(np.float32))
+    np.testing.assert_array_equal(files.read_depth(tmp_path / "d.exr"), np.array([[0.5, 0], [0, 0]], np.float32))
+
+
+def test_exr_channels(tmp_path):
+    half = np.array([[0.5, np.nan, 0.25]], np.float16)
+    grey = save_exr(tmp_path / "grey.exr", R=half, G=half, B=half)
+    np.testing.assert_array_equal(files.read_depth(grey), [[0.5, 0, 0.25]])
+    normals = save_exr(tmp_path / "normals.exr", R=half, G=half + np.float16(1), B=half)
+    with pytest.raises(ValueError, match="normals picture, not depth"):
+        files.read_depth(normals)
+    other = save_exr(tmp_path / "other.exr", X=half, Y=half)
+    with pytest.raises(ValueError, match="expected one channel or R"):
+        files.read_depth(other)
+
+
+def test_unusable_depth_is_refused_with_the_reason(tmp_path):
+    grey = np.full((4, 5), 9, np.uint8)
+    cases = {
+        "expected a 16-bit depth PNG": save_image(tmp_path / "eight.png", grey),
+        "was the colour picture given": save_image(tmp_path / "rgb.png", np.dstack([grey] * 3)),
+        "no valid depth": save_image(tmp_path / "empty.png", np.zeros((4, 5), np.uint16)),
+        "no file": tmp_path / "absent.png",
+        "not a plain .npy array": tmp_path / "objects.npy",
+        "not an OpenEXR file": tmp_path / "text.exr",
+        "expected a PNG, JPEG, .npy or .exr file": tmp_path / "text.png",
+        "should hold integers or floats": tmp_path / "text.npy",
+    }
+    np.save(tmp_path / "objects.npy", np.array([{}], dtype=object))
+    np.save(tmp_path / "text.npy", np.array([["a"]]))
+    (tmp_path / "text.exr").write_text("hello")
+    (tmp_path / "text.png").write_text("hello")
+    for message, path in cases.items():
+        with pytest.raises(ValueError, match=message):
+            files.read_depth(path)
+    np.save(tmp_path / "mm.npy", np.full((4, 5), 612.0))
+    with pytest.raises(ValueError, match="is its unit millimetres"):
+        files.read_depth(tmp_path / "mm.npy")
+    assert not files.read_depth(cases["no valid depth"], allow_empty=True).any()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".exr", ".npy"])
+def test_a_file_cut_short_is_refused(tmp_path, depth, suffix):
+    path = tmp_path / f"d{suffix}"
+    files.write_depth(path, depth)
+    whole = path.read_bytes()
+    for size in (0, len(whole) // 2):
+        path.write_bytes(whole[:size])
+        with pytest.raises(ValueError, match="cannot read"):
+            files.read_depth(path)
+
+
+def test_rgb_comes_red_first_and_only_as_rgb(tmp_path):
+    rgb = np.zeros((4, 5, 3), np.uint8)
+    rgb[..., 0] = 200
+    path = save_image(tmp_path / "a.png", rgb[..., ::-1])
+    np.testing.assert_array_equal(files.read_rgb(path), rgb)
+    np.save(tmp_path / "a.npy", rgb)
+    np.testing.assert_array_equal(files.read_rgb(tmp_path / "a.npy"), rgb)
+    bad = {
+        "grey picture": save_image(tmp_path / "grey.png", rgb[..., 0]),
+        "RGBA": save_image(tmp_path / "rgba.png", np.dstack([rgb, rgb[..., :1]])),
+        "uint16": save_image(tmp_path / "deep.png", rgb.astype(np.uint16)),
+    }
+    for message, path in bad.items():
+        with pytest.raises(ValueError, match=message):
+            files.read_rgb(path)
+
+
+def test_masks(tmp_path):
+    soft = np.array([[0, 99, 100, 255]], np.uint8)
+    np.testing.assert_array_equal(files.read_mask(save_image(tmp_path / "a.png", soft)), [[False, False, True, True]])
+    binary = np.array([[0, 1, 1, 0]], np.uint8)
+    np.testing.assert_array_equal(files.read_mask(save_image(tmp_path / "b.png", binary)), binary > 0)
+    three = np.dstack([soft] * 3)
+    np.testing.assert_array_equal(files.read_mask(save_image(tmp_path / "c.png", three)), soft >= 100)
+    np.save(tmp_path / "d.npy", binary > 0)
+    np.testing.assert_array_equal(files.read_mask(tmp_path / "d.npy"), binary > 0)
+    with pytest.raises(ValueError, match="largest value is 7"):
+        files.read_mask(save_image(tmp_path / "ids.png", soft // 99 * 7 % 8))
+    three[0, 0] = (9, 0, 0)
+    with pytest.raises(ValueError, match="one channel of whole numbers"):
+        files.read_mask(save_image(tmp_path / "colour.png", three))
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.full((2, 2), np.nan), "NaN"),
+        (np.full((2, 2), -1.0), "negative"),
+        (np.ones((2, 2), np.uint16), "floating-point metres"),
+        (np.ones((2, 2, 1)), "floating-point metres"),
+        (np.full((2, 2), 70.0), "ends at 65.5"),
+    ],
+)
+def test_what_is_not_depth_is_not_written(tmp_path, array, message):
+    with pytest.raises(ValueError, match=message):
+        files.write_depth(tmp_path / "d.png", array)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unknown_suffix_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="choose .png, .npy or .exr"):
+        files.write_depth(tmp_path / "d.jpg", np.ones((2, 2)))
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
+    path = tmp_path / "out.txt"
+    path.write_text("old")
+    with pytest.raises(RuntimeError), files.written_whole(path) as part:
+        part.write_text("half")
+        raise RuntimeError
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+    with files.written_whole(path) as part:
+        part.write_text("new")
+        assert path.read_text() == "old" and part.suffix == ".txt"
+    assert path.read_text() == "new" and list(tmp_path.iterdir()) == [path]
