@@ -1,0 +1,98 @@
+import json
+
+import pytest
+
+from ditr_lite import config
+
+
+@pytest.mark.parametrize("name", config.PRESETS)
+def test_presets_survive_json(name):
+    preset = config.preset(name)
+    again = config.from_dict(json.loads(json.dumps(config.to_dict(preset))))
+    assert again == preset
+    assert hash(again) == hash(preset)  # tuples came back as tuples, at every depth
+
+
+@pytest.mark.parametrize("name", config.PRESETS)
+def test_sizes_fit_the_networks(name):
+    preset = config.preset(name)
+    height, width = preset.size
+    assert preset.name == name
+    assert height % 32 == 0 and width % 32 == 0
+    # latents are at stride 4 and halve once per further U-Net level
+    levels = len(preset.unet.multipliers)
+    assert height % (4 * 2 ** (levels - 1)) == 0 and width % (4 * 2 ** (levels - 1)) == 0
+    assert max(preset.unet.attention_levels) < levels
+    for level in preset.unet.attention_levels:
+        assert preset.unet.width * preset.unet.multipliers[level] % preset.unet.heads == 0
+    assert 0 < preset.schedule.beta_start < preset.schedule.beta_end < 1
+
+
+def test_what_the_paper_states_is_the_default():
+    refine = config.RefineConfig()
+    assert (refine.median, refine.dilate, refine.iterations) == (7, 5, 3)
+    assert len(config.AutoencoderConfig().multipliers) == 3  # sampling scale 4: two halvings
+    assert config.ScheduleConfig().timesteps == 1000
+    assert config.UNetConfig().multipliers == (1, 2, 4, 8)  # four levels, channels double
+    paper = config.preset("paper")
+    assert paper.unet.block == "plain" and paper.unet.query == "feature"
+    assert paper.sampler.steps == 1000 and not paper.evidence
+
+
+def test_unknown_preset_lists_the_known():
+    with pytest.raises(ValueError, match="tiny, lite, paper"):
+        config.preset("huge")
+
+
+def test_override_changes_one_setting_and_copies():
+    lite = config.preset("lite")
+    wider = config.override(lite, **{"unet.width": 48, "evidence": False, "size": (96, 128)})
+    assert wider.unet.width == 48 and wider.evidence is False and wider.size == (96, 128)
+    assert lite.unet.width == 32 and lite.evidence is True
+    assert config.override(lite) == lite
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "value"),
+    [
+        ("unet.width", "48", 48),
+        ("evidence", "false", False),
+        ("evidence", "True", True),
+        ("schedule.beta_end", "0.02", 0.02),
+        ("size", "96,128", (96, 128)),
+        ("unet.query", "latent", "latent"),
+    ],
+)
+def test_override_converts_text(key, text, value):
+    node = config.override(config.preset("lite"), **{key: text})
+    for part in key.split("."):
+        node = getattr(node, part)
+    assert node == value and type(node) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"unet.depth": 3}, "unknown setting 'unet.depth'"),
+        ({"size.height": 3}, "unknown setting"),
+        ({"unet": 3}, "is a group"),
+        ({"unet.width": "wide"}, "expects int"),
+        ({"evidence": "maybe"}, "expects bool"),
+        ({"size": "96,a"}, "expects tuple"),
+    ],
+)
+def test_override_refuses(settings, message):
+    with pytest.raises(ValueError, match=message):
+        config.override(config.preset("lite"), **settings)
+
+
+def test_from_dict_refuses_unknown_keys():
+    values = config.to_dict(config.preset("tiny"))
+    values["unet"]["depth"] = 3
+    with pytest.raises(ValueError, match="UNetConfig has no setting depth"):
+        config.from_dict(values)
+
+
+def test_configurations_cannot_be_changed():
+    with pytest.raises(AttributeError):
+        config.preset("lite").unet.width = 3

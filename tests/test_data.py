@@ -1,0 +1,158 @@
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from ditr_lite import data
+from ditr_lite.data import Camera, Sample, Stereo
+
+
+def make_sample(name="test_0001", seed=0):
+    rng = np.random.default_rng(seed)
+    camera = Camera(300.0, 301.0, 15.5, 11.5, 32, 24)
+    motion = ((1.0, 0.0, 0.0, 0.015), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    depth = rng.integers(300, 1200, (24, 32)).astype(np.float32) / np.float32(1000)
+    depth[3:6, 4:9] = 0
+    material = rng.integers(0, 3, (24, 32), dtype=np.uint8)
+    return Sample(
+        name=name,
+        rgb=np.full((24, 32, 3), (200, 90, 30), np.uint8),
+        depth=depth,
+        depth_gt=depth + np.float32(0.25),
+        region=material > 0,
+        camera=camera,
+        material=material,
+        instances=rng.integers(0, 9, (24, 32), dtype=np.uint8),
+        loss=rng.integers(0, 6, (24, 32), dtype=np.uint8),
+        cause=rng.integers(0, 9, (24, 32), dtype=np.uint8),
+        ir_left=rng.integers(0, 256, (20, 30), dtype=np.uint8),
+        ir_right=rng.integers(0, 256, (20, 30), dtype=np.uint8),
+        stereo=Stereo(camera, 0.05, motion),
+        meta={"seed": 7, "sensor": {"block": 7}},
+    )
+
+
+def assert_same(a, b, but=()):
+    for key in Sample.__dataclass_fields__:
+        one, two = getattr(a, key), getattr(b, key)
+        if key in but:
+            continue
+        if isinstance(one, np.ndarray):
+            assert one.dtype == two.dtype and one.shape == two.shape, key
+            np.testing.assert_allclose(one, two, atol=1e-6 if one.dtype == np.float32 else 0, err_msg=key)
+        else:
+            assert one == two, key
+
+
+def test_a_sample_survives_the_disk(tmp_path):
+    sample = make_sample()
+    data.save_sample(sample, tmp_path / sample.name)
+    again = data.read_sample(tmp_path / sample.name)
+    assert_same(sample, again, but=("rgb",))
+    # colour goes through JPEG: close, and red did not become blue
+    assert np.abs(again.rgb.astype(int) - sample.rgb).max() <= 6
+    assert again.rgb[0, 0, 0] > again.rgb[0, 0, 2] + 100
+    assert again.stereo.motion().shape == (4, 4)
+
+
+def test_a_sample_of_rgb_and_depth_only(tmp_path):
+    full = make_sample()
+    bare = Sample(name="test_0002", rgb=full.rgb, depth=full.depth)
+    data.save_sample(bare, tmp_path / bare.name)
+    again = data.read_sample(tmp_path / bare.name)
+    assert_same(bare, again, but=("rgb",))
+    assert again.depth_gt is None and again.region is None and again.camera is None
+
+
+def test_saving_again_replaces_everything(tmp_path):
+    folder = tmp_path / "test_0001"
+    data.save_sample(make_sample(), folder)
+    data.save_sample(replace(make_sample(), depth_gt=None), folder)
+    assert data.read_sample(folder).depth_gt is None
+    assert [p.name for p in tmp_path.iterdir()] == ["test_0001"]  # no temporary folder stays behind
+
+
+def test_an_interrupted_save_leaves_the_old_sample(tmp_path, monkeypatch):
+    folder = tmp_path / "test_0001"
+    data.save_sample(make_sample(), folder)
+
+    def fail(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(cv2, "imwrite", fail)
+    with pytest.raises(OSError, match="disk full"):
+        data.save_sample(make_sample(seed=1), folder)
+    assert_same(make_sample(), data.read_sample(folder), but=("rgb",))
+
+
+def test_listing_and_loading(tmp_path):
+    for name in ("test_0002", "test_0001", "val_0001"):
+        split = name.split("_")[0]
+        (tmp_path / split).mkdir(exist_ok=True)
+        data.save_sample(make_sample(name), tmp_path / split / name)
+    (tmp_path / "test" / "test_0003.part").mkdir()
+    (tmp_path / "test" / "test_0003.part" / "meta.json").write_text("{}")
+    assert data.list_samples("test", tmp_path) == ["test_0001", "test_0002"]
+    assert data.list_samples("val", tmp_path) == ["val_0001"]
+    assert data.load_sample("val_0001", tmp_path).name == "val_0001"
+    with pytest.raises(ValueError, match="no samples in"):
+        data.list_samples("train", tmp_path)
+    with pytest.raises(ValueError, match="train, val, test"):
+        data.list_samples("all", tmp_path)
+    with pytest.raises(ValueError, match="no sample called 'test_9999'"):
+        data.load_sample("test_9999", tmp_path)
+
+
+def test_reading_names_what_is_wrong(tmp_path):
+    with pytest.raises(ValueError, match="expected rgb.jpg, depth.png and meta.json"):
+        data.read_sample(tmp_path)
+    folder = tmp_path / "test_0001"
+    data.save_sample(make_sample(), folder)
+    cv2.imwrite(str(folder / "depth.png"), np.zeros((24, 32), np.uint8))
+    with pytest.raises(ValueError, match="16-bit single-channel PNG in millimetres, got uint8"):
+        data.read_sample(folder)
+    (folder / "rgb.jpg").unlink()
+    with pytest.raises(ValueError, match="cannot read .*rgb.jpg"):
+        data.read_sample(folder)
+
+
+def test_clean_depth_on_every_kind_of_bad_reading():
+    raw = np.array([0.5, np.nan, np.inf, -np.inf, -1.0, 65.535, 0.0, 64.0])
+    clean = data.clean_depth(raw)
+    assert clean.dtype == np.float32
+    np.testing.assert_array_equal(clean, np.array([0.5, 0, 0, 0, 0, 0, 0, 64], np.float32))
+    assert np.isnan(raw[1])  # the input is left alone
+
+
+@settings(max_examples=50, deadline=None)
+@given(arrays(np.float32, (3, 4), elements=st.floats(width=32)))
+def test_clean_depth_is_idempotent_and_bounded(raw):
+    clean = data.clean_depth(raw)
+    assert np.isfinite(clean).all() and (clean >= 0).all() and (clean < data.MAX_DEPTH_M).all()
+    np.testing.assert_array_equal(clean, data.clean_depth(clean))
+    kept = clean > 0
+    np.testing.assert_array_equal(clean[kept], raw[kept])
+
+
+@settings(max_examples=50, deadline=None)
+@given(arrays(np.float32, (3, 4), elements=st.floats(0, 60, width=32)))
+def test_millimetres_are_right_to_half_of_one(depth):
+    png = data.depth_to_png(depth)
+    assert png.dtype == np.uint16
+    assert np.abs(png / 1000.0 - depth).max() <= 0.0005 + 4e-6  # float32 spacing at 60 m
+    assert (png[depth == 0] == 0).all()
+
+
+def test_a_resized_camera_sees_the_same_rays():
+    camera = Camera(600.0, 610.0, 321.3, 238.9, 640, 480)
+    half = camera.resized(320, 240)
+    # the corner of the image, half a pixel outside the first pixel's centre, is the same ray in both
+    assert np.isclose((-0.5 - camera.cx) / camera.fx, (-0.5 - half.cx) / half.fx)
+    assert np.isclose((639.5 - camera.cx) / camera.fx, (319.5 - half.cx) / half.fx)
+    assert np.isclose((479.5 - camera.cy) / camera.fy, (239.5 - half.cy) / half.fy)
+    back = half.resized(640, 480)
+    assert np.allclose([back.cx, back.cy, back.fx], [camera.cx, camera.cy, camera.fx])
