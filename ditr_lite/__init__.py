@@ -37,6 +37,7 @@ MODULES = (
     "papermap",
     "panels",
     "viz",
+    "checker",
     "checks",
 )
 
