@@ -1,0 +1,94 @@
+"""What an exercise checker is made of: run beside the reference, name the mistake, print the verdict, never raise."""
+
+import copy
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+Function = Callable[..., Any]
+
+
+def check(
+    name: str,
+    attempt: Function,
+    reference: Function,
+    inputs: Sequence[tuple],
+    mistakes: Mapping[str, Function] | None = None,
+    rtol: float = 1e-5,
+) -> bool:
+    """Compare ``attempt`` with ``reference`` on every input; print the verdict and return whether they agree.
+
+    Args:
+        name: what the exercise asks for; printed.
+        attempt: the learner's function.
+        reference: the right one.
+        inputs: one tuple of arguments per case.
+        mistakes: message -> wrong function; the first one that yields the learner's results is named.
+        rtol: relative tolerance; 0 asks for the same bits.
+    """
+    return verdict(name, lambda: _compare(attempt, reference, inputs, mistakes or {}, rtol))
+
+
+def verdict(name: str, problem: Callable[[], str | None]) -> bool:
+    """Print the outcome of ``problem()``, a reason or None when all is well, and return whether it is well.
+
+    Exceptions become reasons; ``NotImplementedError`` is an exercise that was not attempted.
+    """
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            reason = problem()
+    except NotImplementedError:
+        reason = "not attempted yet"
+    except Exception as error:  # whatever the learner's code does, the notebook goes on
+        reason = f"stopped with {type(error).__name__}: {error}"
+    print(f"✗ {name}: {reason}" if reason else f"✓ {name}")
+    return not reason
+
+
+def _compare(attempt, reference, inputs, mistakes, rtol) -> str | None:
+    """Return why ``attempt`` is wrong, or None."""
+    results = []
+    for case in inputs:
+        given = copy.deepcopy(case)
+        results.append(attempt(*given))
+        if any(isinstance(a, np.ndarray) and not np.array_equal(a, b) for a, b in zip(given, case, strict=True)):
+            return "it changes its input; work on a copy"
+    wanted = [reference(*copy.deepcopy(case)) for case in inputs]
+    reasons = [_difference(got, want, rtol) for got, want in zip(results, wanted, strict=True)]
+    reason = next(filter(None, reasons), None)
+    if reason is None:
+        return None
+    for message, wrong in mistakes.items():
+        try:
+            made = [wrong(*copy.deepcopy(case)) for case in inputs]
+        except Exception:  # a mistake that cannot be made on these inputs
+            continue
+        if not any(_difference(got, m, rtol or 1e-6) for got, m in zip(results, made, strict=True)):
+            return message
+    return reason
+
+
+def _difference(got: Any, want: Any, rtol: float) -> str | None:
+    """Return how ``got`` differs from ``want``, or None."""
+    if got is None:
+        return "it returns nothing: is a `return` missing?"
+    got, want = np.asarray(got), np.asarray(want)
+    if got.shape != want.shape:
+        return f"the result should have shape {want.shape}, got {got.shape}"
+    if (want.dtype == bool) != (got.dtype == bool):
+        return f"the result should be {want.dtype}, got {got.dtype}"
+    if got.dtype.kind not in "bfiu":
+        return f"the result should be numbers, got {got.dtype}"
+    if rtol == 0 and got.dtype != want.dtype:
+        return f"the result should be {want.dtype}, got {got.dtype}"
+    same = got == want if rtol == 0 or want.dtype == bool else np.isclose(got, want, rtol=rtol, atol=0, equal_nan=True)
+    if same.all():
+        return None
+    if same.ndim == 0:
+        return f"expected {want:.6g}, got {got:.6g}"
+    where = tuple(int(k) for k in np.argwhere(~same)[0])
+    n = int((~same).sum())
+    return f"{n} of {same.size} values differ; at {where} expected {want[where].item()}, got {got[where].item()}"
