@@ -55,13 +55,12 @@ def navier_stokes(rgb: np.ndarray, depth: np.ndarray, region: np.ndarray | None 
     """Fill the region and the holes with OpenCV's fluid-dynamics inpainting; arguments as in :func:`nearest`.
 
     Depth goes in as float32 millimetres: 8 bits would round it to centimetres, and OpenCV's constants expect numbers of
-    image-like size. (In OpenCV 5.0 its other method, Telea's, returns nonsense on float metres.) What overshoots the
-    range of the readings is clipped.
+    image-like size. (In OpenCV 5.0 its other method, Telea's, returns nonsense on float metres.)
     """
     known = _outside(*_checked(rgb, depth, region))
     holes = known == 0
     filled = cv2.inpaint(known * np.float32(1000), holes.astype(np.uint8), 3, cv2.INPAINT_NS) / np.float32(1000)
-    return np.where(holes, np.clip(filled, known[~holes].min(), known.max()), known)
+    return np.where(holes, filled, known)  # * 1000 / 1000 rounds: put the readings back
 
 
 def harmonic(rgb: np.ndarray, depth: np.ndarray, region: np.ndarray | None = None) -> np.ndarray:

@@ -130,6 +130,11 @@ def test_debiased_takes_the_bias_off_inside_only():
     bias = np.float32(baselines.TRAIN_BIAS_M)
     filled = REGISTRY["keep_and_fill_debiased"](GREY, PLANE, REGION)
     np.testing.assert_array_equal(filled, np.where(REGION, PLANE - bias, PLANE))
+    flat = np.where(REGION & (V == 24), 0, np.float32(0.6)) * np.ones((H, W), np.float32)
+    inside = REGION & (np.abs(U - 30) < 3)
+    np.testing.assert_allclose(
+        REGISTRY["keep_and_fill_debiased"](GREY, flat, REGION)[inside], 0.6 - bias, atol=5e-4
+    )  # its holes are filled from the corrected readings
     tiny = np.full((H, W), 0.02, np.float32)
     assert REGISTRY["keep_and_fill_debiased"](GREY, tiny, REGION).min() > 0
 
@@ -169,8 +174,10 @@ def test_fast_enough_at_the_working_size(name):
     region[40:150, 50:210] = True  # with the holes about 55 % unknown
     rgb = rng.integers(0, 256, (192, 256, 3), dtype=np.uint8)
     start = time.process_time()  # processor time: the machine may be busy
-    REGISTRY[name](rgb, depth, region)
+    filled = REGISTRY[name](rgb, depth, region)
     assert time.process_time() - start < 2.0
+    kept = ~region & (depth > 0)
+    assert filled[kept].tobytes() == depth[kept].tobytes()
 
 
 # compose and measure_bias
