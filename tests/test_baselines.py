@@ -61,7 +61,7 @@ def test_harmonic_lets_nothing_flow_through_the_border():
     np.testing.assert_allclose(REGISTRY["harmonic"](np.zeros((5, 6, 3), np.uint8), depth)[:, 3], 0.8, rtol=1e-6)
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(MAPS.filter(lambda d: d.any()))
 def test_harmonic_is_the_mean_of_its_neighbours(depth):
     filled = REGISTRY["harmonic"](np.zeros((7, 9, 3), np.uint8), depth).astype(np.float64)
@@ -86,7 +86,7 @@ def test_joint_bilateral_follows_colour():
 # contracts common to all
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(MAPS, arrays(bool, (7, 9)), st.sampled_from(NAMES))
 def test_dense_and_readings_outside_bit_for_bit(depth, region, name):
     outside = ~region & (depth > 0)
@@ -183,6 +183,7 @@ def test_fast_enough_at_the_working_size(name):
 # compose and measure_bias
 
 
+@settings(deadline=None)
 @given(MAPS, arrays(np.float32, (7, 9), elements=st.floats(0.25, 4, width=32)), arrays(bool, (7, 9)))
 def test_compose_keeps_valid_outside_readings_bit_for_bit(depth, filled, region):
     out = compose(filled, depth, region)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -51,6 +51,7 @@ def test_label_of_the_truth_itself_is_fine():
 # partition (Eq. 1, 2)
 
 
+@settings(deadline=None)
 @given(
     arrays(np.uint8, (5, 6, 3)), arrays(np.float32, (5, 6), elements=st.floats(0, 4, width=32)), arrays(bool, (5, 6))
 )

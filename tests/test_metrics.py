@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -53,6 +53,7 @@ def test_float32_maps_are_scored_in_double_precision():
 # properties
 
 
+@settings(deadline=None)
 @given(MAPS, MAPS)
 def test_order_of_the_scores(pred, truth):
     assert M.mae(pred, truth) <= M.rmse(pred, truth) * (1 + 1e-12) + 1e-15
@@ -60,6 +61,7 @@ def test_order_of_the_scores(pred, truth):
     assert 0 <= shares[0] <= shares[1] <= shares[2] <= 100
 
 
+@settings(deadline=None)
 @given(MAPS, st.floats(0.1, 10))
 def test_units(truth, factor):
     pred = truth[::-1]
@@ -68,6 +70,7 @@ def test_units(truth, factor):
     assert M.rel(pred * factor, truth * factor) == pytest.approx(M.rel(pred, truth), rel=1e-9, abs=1e-12)
 
 
+@settings(deadline=None)
 @given(MAPS)
 def test_a_perfect_prediction(truth):
     assert M.rmse(truth, truth) == M.mae(truth, truth) == M.rel(truth, truth) == 0
@@ -83,6 +86,7 @@ def test_crps_by_hand():
     assert M.crps(ensemble, truth) == pytest.approx(1.0 - 2.0 / 2.0)
 
 
+@settings(deadline=None)
 @given(arrays(np.float64, (4, 3, 4), elements=METRES), MAPS)
 def test_crps_equals_the_double_sum(ensemble, truth):
     pairs = np.abs(ensemble[:, None] - ensemble[None]).sum(axis=(0, 1)) / (2 * 4 * 3)
@@ -90,6 +94,7 @@ def test_crps_equals_the_double_sum(ensemble, truth):
     assert M.crps(ensemble, truth) == pytest.approx(expected, abs=1e-12)
 
 
+@settings(deadline=None)
 @given(MAPS, MAPS)
 def test_crps_of_one_or_of_equal_members_is_the_mae(pred, truth):
     assert M.crps(pred[None], truth) == pytest.approx(M.mae(pred, truth))
@@ -142,6 +147,7 @@ def test_evaluate_gives_none_for_empty_sets_and_missing_input():
     assert set(M.evaluate(pred, np.zeros_like(truth), region, raw).values()) == {None}
 
 
+@settings(deadline=None)
 @given(MAPS, MAPS, MASKS)
 def test_optical_and_outside_are_the_whole(pred, truth, region):
     result = M.evaluate(pred, truth, region)
@@ -164,6 +170,7 @@ def test_average_is_per_image_with_the_pooled_value_beside_it():
     assert (whole["n"], whole["images"]) == (4, 2)
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(MAPS, MAPS), min_size=1, max_size=4))
 def test_pooling_equals_scoring_everything_at_once(frames):
     pooled = M.average([M.evaluate(p, g) for p, g in frames])["whole"]["pooled"]
@@ -215,6 +222,7 @@ def test_segmentation_scores_by_hand():
     assert M.iou(empty, empty) is None and M.miss_rate(pred, empty) is None and M.area_ratio(pred, empty) is None
 
 
+@settings(deadline=None)
 @given(MASKS, MASKS)
 def test_growing_a_mask_misses_less(pred, true):
     rate, grown = M.miss_rate(pred, true), M.miss_rate(pred | true[::-1], true)
