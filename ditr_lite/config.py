@@ -1,0 +1,193 @@
+"""Every size and constant of the system, in frozen dataclasses, and the three presets built from them.
+
+``tiny`` runs in tests and live notebook cells, ``lite`` is what the shipped weights were trained with, ``paper`` is what
+the paper states (Sec. IV and V-B) wherever it states something.
+"""
+
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from typing import Any
+
+
+@dataclass(frozen=True)
+class RegionConfig:
+    """Stage one: the RGB-D segmentation network (Paper: Sec. IV-B, "TROSNet")."""
+
+    width: int = 16  # channels at stride 2; doubled at every further level
+    levels: int = 4  # strides 2, 4, 8, 16
+    classes: int = 3  # background, transparent, reflective
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """Region refinement (Paper: Sec. IV-B): median filter, then dilation, both in pixels of the mask it is given."""
+
+    median: int = 7
+    dilate: int = 5
+    iterations: int = 3
+
+
+@dataclass(frozen=True)
+class AutoencoderConfig:
+    """VQ autoencoder (Paper: Sec. IV-C, "Latent Space"): two down- and two up-samplings, quantiser in the decoder."""
+
+    latent_channels: int = 4
+    codes: int = 1024
+    width: int = 32
+    multipliers: tuple[int, ...] = (1, 2, 4)  # one entry per stride 1, 2, 4
+    res_blocks: int = 1
+    commitment: float = 0.25
+
+
+@dataclass(frozen=True)
+class ScheduleConfig:
+    """Noise schedule: 1,000 steps (Paper: Sec. V-B); ``name`` is one of ``schedule.SCHEDULES``."""
+
+    name: str = "scaled_linear"
+    timesteps: int = 1000
+    beta_start: float = 0.0015
+    beta_end: float = 0.0195
+
+
+@dataclass(frozen=True)
+class UNetConfig:
+    """Denoising U-Net (Paper: Sec. IV-C, "Denoising Step"): four levels, channels double per level."""
+
+    width: int = 32
+    multipliers: tuple[int, ...] = (1, 2, 4, 8)
+    attention_levels: tuple[int, ...] = (2, 3)  # levels with self- and cross-attention
+    heads: int = 4
+    query: str = "feature"  # cross-attention: "feature" (the paper's) or "latent" (latent diffusion's)
+    block: str = "residual"  # "residual" (GroupNorm, SiLU) or "plain" (the paper's 3x3 conv + ReLU)
+    cond_channels: int = 32  # channels of F(x) that are concatenated to L_t
+
+
+@dataclass(frozen=True)
+class DetailConfig:
+    """The finer final step: a small full-resolution network after the decoder. ``width`` 0 leaves it out (the paper)."""
+
+    width: int = 24
+
+
+@dataclass(frozen=True)
+class SamplerConfig:
+    """How stage two samples by default."""
+
+    prediction: str = "x0"  # what the U-Net predicts: "x0" (the paper's x_theta, Eq. 9), "eps" or "v"
+    steps: int = 4
+    samples: int = 2
+
+
+@dataclass(frozen=True)
+class Config:
+    """The whole system. ``size`` is the working size (height, width), both multiples of 32."""
+
+    name: str = "lite"
+    size: tuple[int, int] = (192, 256)
+    region: RegionConfig = field(default_factory=RegionConfig)
+    refine: RefineConfig = field(default_factory=RefineConfig)
+    autoencoder: AutoencoderConfig = field(default_factory=AutoencoderConfig)
+    schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
+    unet: UNetConfig = field(default_factory=UNetConfig)
+    detail: DetailConfig = field(default_factory=DetailConfig)
+    sampler: SamplerConfig = field(default_factory=SamplerConfig)
+    evidence: bool = True  # feed in-region readings to the optical branch, flagged as unreliable (the paper drops them)
+
+
+PRESETS: dict[str, Config] = {
+    "tiny": Config(
+        name="tiny",
+        size=(64, 96),
+        region=RegionConfig(width=8, levels=3),
+        autoencoder=AutoencoderConfig(codes=64, width=8),
+        unet=UNetConfig(width=8, cond_channels=8, heads=2),
+        detail=DetailConfig(width=8),
+    ),
+    "lite": Config(),
+    "paper": Config(
+        name="paper",
+        size=(736, 1280),  # 1280 x 720 (Table VI), padded to a multiple of 32
+        region=RegionConfig(width=32, levels=4),
+        autoencoder=AutoencoderConfig(latent_channels=3, codes=8192, width=128, res_blocks=2),
+        unet=UNetConfig(width=64, block="plain", cond_channels=64, heads=1),
+        detail=DetailConfig(width=0),
+        sampler=SamplerConfig(prediction="x0", steps=1000, samples=1),
+        evidence=False,
+    ),
+}
+
+
+def preset(name: str) -> Config:
+    """Return the preset called ``name``.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    if name not in PRESETS:
+        raise ValueError(f"unknown preset {name!r}; choose one of {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """Return ``config`` as nested plain dictionaries, ready for JSON."""
+    return asdict(config)
+
+
+def from_dict(values: dict[str, Any]) -> Config:
+    """Rebuild a :class:`Config` from :func:`to_dict`'s result (lists become tuples again).
+
+    Raises:
+        ValueError: for a key that no configuration has.
+    """
+    return _build(Config, values)
+
+
+def override(config: Config, **settings: Any) -> Config:
+    """Return a copy with dotted settings replaced, e.g. ``override(c, **{"unet.width": 48})``.
+
+    Values that come as text (from a command line) are converted to the type of the setting they replace.
+
+    Raises:
+        ValueError: for an unknown setting or a value of the wrong type.
+    """
+    for key, value in settings.items():
+        config = _override(config, key.split("."), value, key)
+    return config
+
+
+def _override(node: Any, path: list[str], value: Any, key: str) -> Any:
+    known = [f.name for f in fields(node)] if is_dataclass(node) else []
+    if path[0] not in known:
+        raise ValueError(f"unknown setting {key!r}; {type(node).__name__} has {', '.join(known) or 'no settings'}")
+    old = getattr(node, path[0])
+    if len(path) > 1:
+        return replace(node, **{path[0]: _override(old, path[1:], value, key)})
+    if is_dataclass(old):
+        raise ValueError(f"setting {key!r} is a group; set one of {', '.join(key + '.' + f.name for f in fields(old))}")
+    return replace(node, **{path[0]: _convert(value, old, key)})
+
+
+def _convert(value: Any, old: Any, key: str) -> Any:
+    try:
+        if isinstance(old, bool):
+            return {"true": True, "1": True, "false": False, "0": False}[str(value).lower()]
+        if isinstance(old, tuple):
+            parts = value.split(",") if isinstance(value, str) else value
+            return tuple(type(old[0])(p) for p in parts)
+        return type(old)(value)
+    except (KeyError, TypeError, ValueError):
+        raise ValueError(f"setting {key!r} expects {type(old).__name__} like {old!r}, got {value!r}") from None
+
+
+def _build(kind: type, values: dict[str, Any]) -> Any:
+    known = {f.name: f for f in fields(kind)}
+    unknown = set(values) - set(known)
+    if unknown:
+        raise ValueError(f"{kind.__name__} has no setting {', '.join(sorted(unknown))}")
+    default = kind()
+    built = {}
+    for name, value in values.items():
+        current = getattr(default, name)
+        built[name] = _build(type(current), value) if is_dataclass(current) else value
+        if isinstance(current, tuple):
+            built[name] = tuple(value)
+    return kind(**built)

@@ -1,0 +1,205 @@
+"""Samples: one RGB-D frame with everything known about it, how it lies on disk, and the shipped splits.
+
+Depth is float32 metres and 0 means missing, in raw depth and in ground truth alike.
+"""
+
+import json
+import shutil
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+SAMPLES = Path(__file__).resolve().parents[1] / "data_samples"
+SPLITS = ("train", "val", "test")
+OPAQUE, TRANSPARENT, REFLECTIVE = 0, 1, 2  # values of Sample.material
+MAX_DEPTH_M = 65.0  # 16-bit millimetres end at 65.535 m: readings beyond this are codes for "no reading"
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Pinhole camera, in pixels: x right, y down, z forward; pixel (u, v) has its centre at the integer (u, v)."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """Return the same camera with its image resized to ``width`` x ``height``."""
+        sx, sy = width / self.width, height / self.height
+        return Camera(self.fx * sx, self.fy * sy, (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5, width, height)
+
+
+@dataclass(frozen=True)
+class Stereo:
+    """The infrared pair behind a raw depth frame: rectified cameras, left one reprojected into the RGB view.
+
+    ``rgb_from_left`` is the 4 x 4 rigid motion (metres) that takes left-IR camera coordinates to RGB camera coordinates.
+    The right camera sits ``baseline_m`` along +x of the left one.
+    """
+
+    camera: Camera
+    baseline_m: float
+    rgb_from_left: tuple[tuple[float, ...], ...]
+
+    def motion(self) -> np.ndarray:
+        """Return ``rgb_from_left`` as a (4, 4) float64 array."""
+        return np.asarray(self.rgb_from_left, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One frame. Arrays that are not known are None.
+
+    Attributes:
+        name: unique in its split.
+        rgb: (H, W, 3) uint8.
+        depth: (H, W) float32 metres, raw sensor, 0 = missing.
+        depth_gt: (H, W) float32 metres, first surface seen from the RGB camera, 0 = unknown.
+        region: (H, W) bool, transparent or reflective.
+        camera: intrinsics of the RGB view; None for a frame that came without.
+        material: (H, W) uint8, 0 opaque, 1 transparent, 2 reflective.
+        instances: (H, W) uint8, 0 background, then one id per object.
+        loss: (H, W) uint8, codes of ``loss_types.LossType``.
+        cause: (H, W) uint8, codes of ``loss_types.Cause``.
+        ir_left, ir_right: (h, w) uint8, rectified.
+        stereo: geometry of the infrared pair.
+        meta: whatever else the maker noted (seed, sensor, material parameters).
+    """
+
+    name: str
+    rgb: np.ndarray
+    depth: np.ndarray
+    depth_gt: np.ndarray | None = None
+    region: np.ndarray | None = None
+    camera: Camera | None = None
+    material: np.ndarray | None = None
+    instances: np.ndarray | None = None
+    loss: np.ndarray | None = None
+    cause: np.ndarray | None = None
+    ir_left: np.ndarray | None = None
+    ir_right: np.ndarray | None = None
+    stereo: Stereo | None = None
+    meta: dict[str, Any] = field(default_factory=dict)
+
+
+LABELS = ("material", "instances", "loss", "cause", "ir_left", "ir_right")
+
+
+def clean_depth(depth: np.ndarray) -> np.ndarray:
+    """Return depth as float32 metres with NaN, infinite, negative and absurd readings set to 0 (missing)."""
+    depth = np.array(depth, dtype=np.float32)
+    depth[~(np.isfinite(depth) & (depth > 0) & (depth < MAX_DEPTH_M))] = 0
+    return depth
+
+
+def depth_to_png(depth_m: np.ndarray) -> np.ndarray:
+    """Return (H, W) uint16 millimetres of a depth map in metres, 0 staying 0."""
+    return np.clip(np.rint(depth_m * 1000.0), 0, 65535).astype(np.uint16)
+
+
+def save_sample(sample: Sample, folder: Path | str, jpeg_quality: int = 92) -> None:
+    """Write ``sample`` as a folder of images and ``meta.json``; it appears whole or not at all.
+
+    Files: ``rgb.jpg``, ``depth.png`` and ``depth_gt.png`` (16 bit, millimetres), 8-bit PNG labels, ``meta.json``.
+    """
+    folder = Path(folder)
+    part = folder.with_name(folder.name + ".part")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    bgr = np.ascontiguousarray(sample.rgb[..., ::-1])
+    cv2.imwrite(str(part / "rgb.jpg"), bgr, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
+    images = {"depth": depth_to_png(sample.depth)}
+    if sample.depth_gt is not None:
+        images["depth_gt"] = depth_to_png(sample.depth_gt)
+    images |= {key: getattr(sample, key) for key in LABELS if getattr(sample, key) is not None}
+    for key, image in images.items():
+        cv2.imwrite(str(part / f"{key}.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    meta = {
+        "camera": asdict(sample.camera) if sample.camera else None,
+        "stereo": asdict(sample.stereo) if sample.stereo else None,
+        "meta": sample.meta,
+    }
+    (part / "meta.json").write_text(json.dumps(meta, indent=1) + "\n")
+    shutil.rmtree(folder, ignore_errors=True)
+    part.rename(folder)
+
+
+def read_sample(folder: Path | str) -> Sample:
+    """Read a folder that :func:`save_sample` wrote.
+
+    Raises:
+        ValueError: when the folder or one of its required files is missing or unreadable.
+    """
+    folder = Path(folder)
+    if not (folder / "meta.json").is_file():
+        raise ValueError(f"no sample in {folder}: expected rgb.jpg, depth.png and meta.json there")
+    meta = json.loads((folder / "meta.json").read_text())
+    rgb = np.ascontiguousarray(_image(folder / "rgb.jpg", cv2.IMREAD_COLOR)[..., ::-1])
+    depth_gt = folder / "depth_gt.png"
+    labels = {k: _image(folder / f"{k}.png", cv2.IMREAD_UNCHANGED) for k in LABELS if (folder / f"{k}.png").is_file()}
+    stereo = meta["stereo"]
+    return Sample(
+        name=folder.name,
+        rgb=rgb,
+        depth=_metres(folder / "depth.png"),
+        depth_gt=_metres(depth_gt) if depth_gt.is_file() else None,
+        region=labels["material"] > OPAQUE if "material" in labels else None,
+        camera=Camera(**meta["camera"]) if meta["camera"] else None,
+        stereo=_stereo(stereo) if stereo else None,
+        meta=meta["meta"],
+        **labels,
+    )
+
+
+def list_samples(split: str = "test", root: Path | str | None = None) -> list[str]:
+    """Return the names of the shipped samples of one split (``train``, ``val`` or ``test``), sorted.
+
+    Raises:
+        ValueError: for an unknown split, or where there is no sample.
+    """
+    if split not in SPLITS:
+        raise ValueError(f"unknown split {split!r}; choose one of {', '.join(SPLITS)}")
+    folder = Path(root or SAMPLES) / split
+    names = sorted(p.parent.name for p in folder.glob("*/meta.json") if not p.parent.name.endswith(".part"))
+    if not names:
+        raise ValueError(f"no samples in {folder}: run ditr_lite from its repository, or `make samples`")
+    return names
+
+
+def load_sample(name: str, root: Path | str | None = None) -> Sample:
+    """Load a sample by its name, which starts with its split, e.g. ``test_0003``.
+
+    Raises:
+        ValueError: for a name that no split holds.
+    """
+    folder = Path(root or SAMPLES) / name.split("_")[0] / name
+    if not folder.is_dir():
+        raise ValueError(f"no sample called {name!r}; see list_samples(split) for the names")
+    return read_sample(folder)
+
+
+def _stereo(values: dict[str, Any]) -> Stereo:
+    motion = tuple(tuple(row) for row in values["rgb_from_left"])
+    return Stereo(Camera(**values["camera"]), values["baseline_m"], motion)
+
+
+def _image(path: Path, mode: int) -> np.ndarray:
+    image = cv2.imread(str(path), mode)
+    if image is None:
+        raise ValueError(f"cannot read {path}: missing, or not an image")
+    return image
+
+
+def _metres(path: Path) -> np.ndarray:
+    image = _image(path, cv2.IMREAD_UNCHANGED)
+    if image.dtype != np.uint16 or image.ndim != 2:
+        raise ValueError(
+            f"{path} should be a 16-bit single-channel PNG in millimetres, got {image.dtype} {image.shape}"
+        )
+    return clean_depth(image.astype(np.float32) / 1000.0)

@@ -1,0 +1,172 @@
+"""Render scenes with Mitsuba 3 and turn them into samples: RGB, infrared pair, raw depth, and the truth about each pixel.
+
+Recipe after DREDS (Dai et al., 2022): path-traced infrared pair under a projected dot pattern, block matching, reprojection
+into the RGB view. Mitsuba is an optional extra (``pip install .[simulate]``); nothing else in the package needs it.
+"""
+
+import os
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from tqdm.auto import tqdm
+
+from ditr_lite import sensor
+from ditr_lite.data import OPAQUE, Camera, Sample, Stereo, save_sample
+from ditr_lite.loss_types import label
+from ditr_lite.render import load, mitsuba, render, truth
+from ditr_lite.scenes import Thing, random_scene
+
+SIZE = (192, 256)  # height, width of the RGB view
+INFRARED_SIZE = (232, 360)  # wider than the RGB view, so that matching has room
+RGB_SAMPLES, INFRARED_SAMPLES = 12, 5  # paths per pixel
+
+
+def simulate(seed: int, split: str = "train", keep_infrared: bool = False) -> Sample:
+    """Render one scene and measure it with a random active-stereo sensor.
+
+    Args:
+        seed: scene seed; the same seed, split and machine give the same bytes.
+        split: ``train``, ``val`` or ``test`` (held-out shapes and materials).
+        keep_infrared: also return the infrared pair.
+
+    Returns:
+        Sample: with region, instances, loss types, causes and both cameras.
+    """
+    scene = random_scene(seed, split)
+    rng = np.random.default_rng([seed, 7])
+    camera, stereo = _rig(rng)
+    left_pose = scene.camera_pose @ stereo.motion()
+    right_pose = left_pose @ _shift(stereo.baseline_m)
+    visible = load(scene)
+    rgb = _tone_map(render(visible, camera, scene.camera_pose, RGB_SAMPLES, seed), rng)
+    points, depth_gt, ids = truth(visible, camera, scene.camera_pose, seed)
+
+    lit = load(scene, left_pose @ _shift(stereo.baseline_m * rng.uniform(0.2, 0.8)), rng)
+    matcher = sensor.random_matcher(rng)
+    pair, seen = [], []
+    for pose in (left_pose, right_pose):
+        radiance = render(lit, stereo.camera, pose, INFRARED_SAMPLES, seed).mean(axis=2)
+        pair.append(sensor.expose(radiance, matcher, rng))
+        seen.append(sensor.visible_from(points, truth(lit, stereo.camera, pose, seed)[1], stereo.camera, pose))
+    depth, dropped = sensor.raw_depth(*pair, stereo, camera, matcher, rng)
+
+    kinds = np.array([OPAQUE, *(thing.kind for thing in scene.things)], np.uint8)
+    material = kinds[ids]
+    loss = label(depth, depth_gt, material > OPAQUE)
+    return Sample(
+        name=f"{split}_{seed:05d}",
+        rgb=rgb,
+        depth=depth,
+        depth_gt=depth_gt,
+        region=material > OPAQUE,
+        camera=camera,
+        material=material,
+        instances=ids.astype(np.uint8),
+        loss=loss,
+        cause=sensor.causes(loss, material, dropped, *seen),
+        ir_left=pair[0] if keep_infrared else None,
+        ir_right=pair[1] if keep_infrared else None,
+        stereo=stereo,
+        meta={"seed": seed, "split": split, **scene.style, "matcher": vars(matcher), "things": _describe(scene.things)},
+    )
+
+
+def simulate_many(
+    root: Path | str, split: str, count: int, first_seed: int = 0, workers: int = 1, infrared: int = 0
+) -> list[Path]:
+    """Render ``count`` scenes into ``root/split/``; scenes that are already there are kept, so a stopped run resumes.
+
+    Scenes in which nothing transparent or reflective is in view (below 0.5 % of the image), or in which the sensor reads
+    less than a quarter of the pixels, are skipped by moving on to the next seed; which those are depends on the seeds
+    alone, so the set is the same however it was made.
+
+    Args:
+        root: output folder. split: as in :func:`simulate`. count: scenes wanted. first_seed: first seed to try.
+        workers: processes; one per core is best. infrared: how many of the first scenes keep their infrared pair.
+
+    Raises:
+        ValueError: for an unknown split or a count below 1.
+        ImportError: without Mitsuba.
+    """
+    if split not in ("train", "val", "test") or count < 1:
+        raise ValueError(f"expected a split of train, val, test and a count >= 1, got {split!r} and {count}")
+    mitsuba()
+    folder = Path(root) / split
+    folder.mkdir(parents=True, exist_ok=True)
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
+    seeds = iter(range(first_seed, first_seed + 10 * count + 10))
+    done: list[Path] = []
+    with (
+        ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread) as pool,
+        tqdm(total=count, desc=f"{split} scenes", unit="scene") as bar,
+    ):
+        while len(done) < count:
+            batch = [next(seeds) for _ in range(count - len(done))]
+            jobs = {pool.submit(_write, folder, split, seed, seed - first_seed < infrared): seed for seed in batch}
+            for job in as_completed(jobs):
+                path = job.result()
+                if path is not None:
+                    done.append(path)
+                    bar.update()
+    return sorted(done)
+
+
+def _write(folder: Path, split: str, seed: int, infrared: bool) -> Path | None:
+    path, skipped = folder / f"{split}_{seed:05d}", folder / f".skipped_{seed:05d}"
+    if (path / "meta.json").is_file():
+        return path
+    if skipped.exists():
+        return None
+    sample = simulate(seed, split, keep_infrared=infrared)
+    if sample.region.mean() < 0.005 or (sample.depth > 0).mean() < 0.25:
+        skipped.touch()
+        return None
+    save_sample(sample, path)
+    return path
+
+
+def _one_thread() -> None:
+    cv2.setNumThreads(1)
+    mi = mitsuba()
+    import drjit as dr
+
+    dr.set_thread_count(1)  # one process per core: threads inside would only compete
+    assert mi.variant()
+
+
+def _rig(rng: np.random.Generator) -> tuple[Camera, Stereo]:
+    """Draw the two cameras: RGB, and an infrared pair 15 to 45 mm beside it with a baseline of 50 to 75 mm."""
+    height, width = SIZE
+    focal = rng.uniform(225, 275)
+    camera = Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
+    height, width = INFRARED_SIZE
+    focal *= rng.uniform(1.0, 1.15)
+    infrared = Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
+    motion = np.eye(4)
+    motion[:3, 3] = (-rng.uniform(0.015, 0.045), *rng.normal(0, 0.002, 2))
+    return camera, Stereo(infrared, float(rng.uniform(0.05, 0.075)), tuple(map(tuple, motion.tolist())))
+
+
+def _shift(x: float) -> np.ndarray:
+    pose = np.eye(4)
+    pose[0, 3] = x
+    return pose
+
+
+def _tone_map(radiance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return uint8 sRGB of linear radiance: auto-exposure, white balance error, gamma, and a little denoising."""
+    exposure = rng.uniform(0.45, 0.75) / max(float(np.percentile(radiance, 80)), 1e-6)
+    balance = 1 + rng.normal(0, 0.05, 3)
+    image = np.clip(radiance * exposure * balance, 0, 1) ** (1 / 2.2)
+    image = (image * 255).astype(np.uint8)
+    return cv2.fastNlMeansDenoisingColored(image, None, 5, 8, 5, 11)  # few paths leave grain; cameras remove theirs too
+
+
+def _describe(things: list[Thing]) -> list[dict[str, Any]]:
+    """Return what a reader may want to know of each thing, in the order of the instance ids."""
+    keep = ("type", "ior", "metal", "roughness")
+    return [{"family": t.family, "kind": t.kind, **{k: t.material[k] for k in keep if k in t.material}} for t in things]
