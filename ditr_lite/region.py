@@ -1,0 +1,257 @@
+"""Stage one: find the pixels of transparent and reflective objects, then refine the mask.
+
+Paper: Sec. IV-B "Region Proposal" - TROSNet, "mainly an encoder-decoder network, with some mid-stage processes,
+including feature fusion and boundary refinement" over RGB and depth; then a 7x7 median filter and a 5x5 dilation in 3
+iterations, "to lower the miss rate". The network here keeps those three ideas at a size that a CPU trains; it is not
+TROSNet itself.
+"""
+
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from .config import RegionConfig
+
+IGNORE = 255  # target class of a pixel whose class is unknown
+
+
+def _conv(channels_in: int, channels_out: int, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+    # GroupNorm, not BatchNorm: batches are small here, and one image must not change the mask of another
+    groups = 8 if channels_out % 8 == 0 else 1
+    return nn.Sequential(
+        nn.Conv2d(channels_in, channels_out, 3, stride, padding=dilation, dilation=dilation, bias=False),
+        nn.GroupNorm(groups, channels_out),
+        nn.ReLU(inplace=True),
+    )
+
+
+def _resize(x: Tensor, like: Tensor) -> Tensor:
+    return F.interpolate(x, size=like.shape[-2:], mode="bilinear", align_corners=False)
+
+
+class Encoder(nn.Module):
+    """Turn one modality into a pyramid at strides 2, 4, 8, ...; width doubles at every level."""
+
+    def __init__(self, channels_in: int, width: int, levels: int):
+        super().__init__()
+        widths = [channels_in, *(width * 2**k for k in range(levels))]
+        self.down = nn.ModuleList(_conv(a, b, stride=2) for a, b in zip(widths[:-1], widths[1:], strict=True))
+        self.refine = nn.ModuleList(_conv(b, b) for b in widths[1:])
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """Return features (B, width 2^k, H/2^(k+1), W/2^(k+1)) for k = 0, 1, ..."""
+        pyramid = []
+        for down, refine in zip(self.down, self.refine, strict=True):
+            x = down(x)
+            x = x + refine(x)
+            pyramid.append(x)
+        return pyramid
+
+
+class CrossModalFusion(nn.Module):
+    """Let each modality reweight the other, pixel by pixel and channel by channel, then add them.
+
+    On glass, colour shows little and depth is wrong or missing in a telling way; on a textured table it is the
+    reverse. Which modality to trust can therefore only be decided by looking at the other one.
+    """
+
+    def __init__(self, channels: int):
+        super().__init__()
+        self.gate_rgb = nn.Conv2d(channels, channels, 1)  # read from depth, applied to RGB
+        self.gate_depth = nn.Conv2d(channels, channels, 1)  # read from RGB, applied to depth
+
+    def forward(self, rgb: Tensor, depth: Tensor) -> Tensor:
+        """Return the fused features, all three (B, C, h, w)."""
+        return rgb * torch.sigmoid(self.gate_rgb(depth)) + depth * torch.sigmoid(self.gate_depth(rgb))
+
+
+class BoundaryRefinement(nn.Module):
+    """Predict the region's boundary and correct the features there, and only there.
+
+    Decoded features come from coarse levels and are smooth; ``fine`` are the fused features at stride 2, which are not.
+    """
+
+    def __init__(self, channels: int):
+        super().__init__()
+        self.see = _conv(2 * channels, channels)
+        self.predict = nn.Conv2d(channels, 1, 1)
+        self.correct = nn.Conv2d(channels, channels, 3, padding=1)
+
+    def forward(self, decoded: Tensor, fine: Tensor) -> tuple[Tensor, Tensor]:
+        """Return sharpened features (B, C, h, w) and boundary logits (B, 1, h, w)."""
+        seen = self.see(torch.cat([decoded, fine], dim=1))  # (B, 2C, h, w) -> (B, C, h, w)
+        boundary = self.predict(seen)
+        return decoded + torch.sigmoid(boundary) * self.correct(seen), boundary
+
+
+class RegionNet(nn.Module):
+    """Classify every pixel as background, transparent or reflective from RGB and raw depth.
+
+    Paper: Sec. IV-B, S1. Two encoders, fusion at every level, a decoder that adds finer fused features on its way up,
+    side outputs for deep supervision, boundary refinement at stride 2.
+
+    The depth encoder also sees the validity mask: that a reading is missing is evidence too.
+    """
+
+    def __init__(self, config: RegionConfig):
+        super().__init__()
+        if config.levels < 2 or config.width < 1 or config.classes < 2:
+            raise ValueError(f"expected levels >= 2, width >= 1, classes >= 2; got {config}")
+        widths = [config.width * 2**k for k in range(config.levels)]
+        self.config = config
+        self.encoder_rgb = Encoder(3, config.width, config.levels)
+        self.encoder_depth = Encoder(2, config.width, config.levels)
+        self.fusion = nn.ModuleList(CrossModalFusion(c) for c in widths)
+        self.context = _conv(widths[-1], widths[-1], dilation=2)
+        finer = list(reversed(list(zip(widths[:-1], widths[1:], strict=True))))  # (fine, coarse) channels, coarse first
+        self.lateral = nn.ModuleList(nn.Conv2d(coarse, fine, 1) for fine, coarse in finer)
+        self.decode = nn.ModuleList(_conv(fine, fine) for fine, _ in finer)
+        self.side = nn.ModuleList(nn.Conv2d(c, config.classes, 1) for c in reversed(widths[1:]))
+        self.boundary = BoundaryRefinement(widths[0])
+        self.classify = nn.Conv2d(widths[0], config.classes, 1)
+
+    def forward(self, rgb: Tensor, depth_n: Tensor, valid: Tensor) -> dict[str, Any]:
+        """Return class and boundary logits.
+
+        Args:
+            rgb: (B, 3, H, W) in [-1, 1].
+            depth_n: (B, 1, H, W) normalised raw depth; ignored where invalid.
+            valid: (B, 1, H, W) bool or 0/1.
+
+        Returns:
+            ``logits`` (B, classes, H, W); ``side``, logits of the coarser levels, coarsest first, at their own sizes;
+            ``boundary`` (B, 1, H, W) logits.
+
+        Raises:
+            ValueError: when the shapes do not fit together.
+        """
+        batch, _, height, width = rgb.shape if rgb.ndim == 4 else (0, 0, 0, 0)
+        one = (batch, 1, height, width)
+        if rgb.ndim != 4 or rgb.shape[1] != 3 or depth_n.shape != one or valid.shape != one:
+            raise ValueError(
+                "expected rgb (B, 3, H, W) with depth_n and valid (B, 1, H, W); "
+                f"got {tuple(rgb.shape)}, {tuple(depth_n.shape)}, {tuple(valid.shape)}"
+            )
+        valid = valid.to(rgb.dtype)
+        levels_rgb = self.encoder_rgb(rgb)
+        levels_depth = self.encoder_depth(torch.cat([depth_n * valid, valid], dim=1))
+        fused = [fuse(r, d) for fuse, r, d in zip(self.fusion, levels_rgb, levels_depth, strict=True)]
+
+        x = fused[-1] + self.context(fused[-1])
+        side = []
+        for lateral, decode, out, fine in zip(self.lateral, self.decode, self.side, reversed(fused[:-1]), strict=True):
+            side.append(out(x))
+            x = decode(_resize(lateral(x), fine) + fine)
+        x, boundary = self.boundary(x, fused[0])
+        return {"logits": _resize(self.classify(x), rgb), "side": side, "boundary": _resize(boundary, rgb)}
+
+
+def region_probability(outputs: dict[str, Any]) -> Tensor:
+    """Return (B, 1, H, W): the probability that a pixel is transparent or reflective, the two classes merged."""
+    return outputs["logits"].softmax(dim=1)[:, 1:].sum(dim=1, keepdim=True)
+
+
+def class_boundary(classes: Tensor) -> Tensor:
+    """Return (B, H, W) bool: pixels whose 3x3 neighbourhood holds more than one class (two pixels wide)."""
+    x = classes[:, None].float()
+    return (F.max_pool2d(x, 3, 1, padding=1) != -F.max_pool2d(-x, 3, 1, padding=1))[:, 0]
+
+
+def region_loss(
+    outputs: dict[str, Any],
+    target_classes: Tensor,
+    weight: Tensor | None = None,
+    side_weight: float = 0.4,
+    boundary_weight: float = 0.5,
+    boundary_positive: float = 5.0,
+) -> dict[str, Tensor]:
+    """Score the main output, every side output and the boundary.
+
+    Each class output costs weighted cross-entropy plus soft Dice: the region covers few pixels, and Dice does not
+    care how many there are. Side outputs are enlarged to the target, rather than the target sampled down, so that
+    thin stems count.
+
+    Args:
+        outputs: what :class:`RegionNet` returned.
+        target_classes: (B, H, W) int64; 255 = unknown, not scored.
+        weight: (classes,) float, class weights of the cross-entropy; None for equal ones.
+        side_weight: weight of the mean of the side outputs' losses.
+        boundary_weight: weight of the boundary's binary cross-entropy.
+        boundary_positive: weight of a boundary pixel against any other.
+
+    Returns:
+        Scalars ``ce`` and ``dice`` of the main output, ``side``, ``boundary`` and ``total``.
+
+    Raises:
+        ValueError: when ``target_classes`` is not (B, H, W) int64 of the logits' size.
+    """
+    logits = outputs["logits"]
+    if target_classes.dtype != torch.int64 or target_classes.shape != (logits.shape[0], *logits.shape[2:]):
+        raise ValueError(
+            f"expected target_classes {(logits.shape[0], *logits.shape[2:])} int64, "
+            f"got {tuple(target_classes.shape)} {target_classes.dtype}"
+        )
+    known = target_classes != IGNORE
+    ce, dice = _class_loss(logits, target_classes, known, weight)
+    sides = [sum(_class_loss(_resize(s, logits), target_classes, known, weight)) for s in outputs["side"]]
+    side = torch.stack(sides).mean() if sides else logits.new_zeros(())
+
+    edge = outputs["boundary"][:, 0]
+    positive = edge.new_tensor(boundary_positive)
+    bce = F.binary_cross_entropy_with_logits(
+        edge, class_boundary(target_classes).to(edge.dtype), pos_weight=positive, reduction="none"
+    )
+    boundary = (bce * known).sum() / known.sum().clamp_min(1)
+    total = ce + dice + side_weight * side + boundary_weight * boundary
+    return {"ce": ce, "dice": dice, "side": side, "boundary": boundary, "total": total}
+
+
+def _class_loss(logits: Tensor, target: Tensor, known: Tensor, weight: Tensor | None) -> tuple[Tensor, Tensor]:
+    safe = torch.where(known, target, 0)
+    pixel_weight = known.to(logits.dtype) if weight is None else weight[safe] * known
+    ce = (F.cross_entropy(logits, safe, reduction="none") * pixel_weight).sum() / pixel_weight.sum().clamp_min(1e-6)
+    p = logits.softmax(dim=1)[:, 1:] * known[:, None]  # foreground classes, (B, classes - 1, H, W)
+    t = F.one_hot(safe, logits.shape[1]).movedim(-1, 1)[:, 1:] * known[:, None]
+    both, either = (p * t).sum(dim=(0, 2, 3)), (p + t).sum(dim=(0, 2, 3))
+    return ce, (1 - (2 * both + 1) / (either + 1)).mean()  # + 1: an absent class that is not predicted costs nothing
+
+
+def refine_region(mask: np.ndarray, median: int = 7, dilate: int = 5, iterations: int = 3) -> np.ndarray:
+    """Smooth a region mask with a median filter, then grow it by dilation.
+
+    Paper: Sec. IV-B, S2, median 7x7, then dilation 5x5 in 3 iterations (together one 13x13 dilation, 6 pixels a
+    side). The paper names no resolution; these are pixels of the mask given, so at 256x192 they roughly double a true
+    region's area.
+
+    Borders: the median repeats the border pixel outwards; beyond the border nothing dilates inwards.
+
+    Args:
+        mask: (H, W) bool.
+        median: side of the median window in pixels, odd; 0 or 1 leaves the step out.
+        dilate: side of the square dilation kernel in pixels, odd; 0 or 1 leaves the step out.
+        iterations: how often to dilate; 0 leaves the step out.
+
+    Returns:
+        (H, W) bool.
+
+    Raises:
+        ValueError: for a mask that is not two-dimensional bool, an even kernel or a negative number.
+    """
+    mask = np.asarray(mask)
+    if mask.ndim != 2 or mask.dtype != bool:
+        raise ValueError(f"expected a mask (H, W) bool, got {mask.shape} {mask.dtype}; threshold it first")
+    for name, size in (("median", median), ("dilate", dilate)):
+        if size < 0 or (size > 0 and size % 2 == 0):
+            raise ValueError(f"expected an odd {name} kernel (or 0 for none), got {size}: an even one shifts the mask")
+    if iterations < 0:
+        raise ValueError(f"expected iterations >= 0, got {iterations}")
+    out = mask.astype(np.uint8)
+    if median > 1:
+        out = cv2.medianBlur(out, median)
+    if dilate > 1 and iterations > 0:
+        out = cv2.dilate(out, np.ones((dilate, dilate), np.uint8), iterations=iterations)
+    return out.astype(bool)

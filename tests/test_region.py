@@ -1,0 +1,230 @@
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from ditr_lite.config import RegionConfig, preset
+from ditr_lite.region import (
+    IGNORE,
+    BoundaryRefinement,
+    CrossModalFusion,
+    RegionNet,
+    class_boundary,
+    refine_region,
+    region_loss,
+    region_probability,
+)
+
+TINY = preset("tiny").region
+
+
+def frame(batch=2, height=32, width=48, seed=0):
+    g = torch.Generator().manual_seed(seed)
+    rgb = torch.rand(batch, 3, height, width, generator=g) * 2 - 1
+    depth = torch.rand(batch, 1, height, width, generator=g)
+    return rgb, depth, (depth > 0.3).float()
+
+
+# ---- the network
+
+
+@pytest.mark.parametrize("size", [(32, 48), (33, 47)])
+def test_outputs_have_the_promised_shapes(size):
+    torch.manual_seed(0)
+    out = RegionNet(TINY)(*frame(height=size[0], width=size[1]))
+    assert out["logits"].shape == (2, 3, *size) and out["boundary"].shape == (2, 1, *size)
+    assert len(out["side"]) == TINY.levels - 1
+    assert [s.shape[1] for s in out["side"]] == [3, 3]
+    assert out["side"][0].shape[2] < out["side"][1].shape[2] < size[0]
+
+
+def test_fusion_by_hand():
+    fusion = CrossModalFusion(1)
+    with torch.no_grad():
+        for conv in (fusion.gate_rgb, fusion.gate_depth):
+            conv.weight.fill_(1.0)
+            conv.bias.zero_()
+    rgb, depth = torch.full((1, 1, 1, 1), 2.0), torch.full((1, 1, 1, 1), -3.0)
+    sigmoid = lambda v: 1 / (1 + np.exp(-v))  # noqa: E731
+    assert fusion(rgb, depth).item() == pytest.approx(2 * sigmoid(-3) - 3 * sigmoid(2))  # each gated by the other
+
+
+def test_boundary_refinement_leaves_features_alone_off_the_boundary():
+    torch.manual_seed(0)
+    block = BoundaryRefinement(8)
+    with torch.no_grad():
+        block.predict.weight.zero_()
+        block.predict.bias.fill_(-50.0)  # "no boundary anywhere"
+    decoded, fine = torch.randn(1, 8, 6, 6), torch.randn(1, 8, 6, 6)
+    assert torch.allclose(block(decoded, fine)[0], decoded)
+    with torch.no_grad():
+        block.predict.bias.fill_(50.0)
+    assert not torch.allclose(block(decoded, fine)[0], decoded, atol=1e-2)
+
+
+def test_depth_under_an_invalid_pixel_is_ignored_and_validity_is_not():
+    torch.manual_seed(0)
+    net = RegionNet(TINY).eval()
+    rgb, depth, valid = frame()
+    logits = net(rgb, depth, valid)["logits"]
+    assert torch.equal(net(rgb, torch.where(valid > 0, depth, 123.0), valid)["logits"], logits)
+    assert torch.equal(net(rgb, depth, valid.bool())["logits"], logits)
+    assert not torch.allclose(net(rgb, depth * valid, torch.ones_like(valid))["logits"], logits)
+
+
+def test_images_of_a_batch_do_not_influence_each_other():
+    torch.manual_seed(0)
+    net = RegionNet(TINY).train()  # also in training mode: no batch statistics
+    rgb, depth, valid = frame()
+    both, one = net(rgb, depth, valid)["logits"], net(rgb[:1], depth[:1], valid[:1])["logits"]
+    assert torch.allclose(both[:1], one, atol=1e-5)
+
+
+def test_probability_merges_the_two_classes():
+    logits = torch.log(torch.tensor([0.5, 0.2, 0.3])).view(1, 3, 1, 1)
+    assert region_probability({"logits": logits}).item() == pytest.approx(0.5)
+
+
+def test_the_lite_preset_keeps_its_budget():
+    from torch.utils.flop_counter import FlopCounterMode
+
+    net = RegionNet(preset("lite").region).eval()
+    with FlopCounterMode(display=False) as counter, torch.no_grad():
+        net(*frame(1, 192, 256))
+    assert counter.get_total_flops() <= 1.2e9
+    assert sum(p.numel() for p in net.parameters()) <= 1_000_000
+
+
+# ---- the loss
+
+
+def perfect(target, scale=50.0):
+    logits = torch.nn.functional.one_hot(target, 3).movedim(-1, 1).float() * scale
+    edge = (class_boundary(target)[:, None].float() * 2 - 1) * scale
+    return {"logits": logits, "side": [logits], "boundary": edge}
+
+
+def test_a_perfect_answer_costs_nothing_and_a_wrong_one_much():
+    target = torch.zeros(1, 16, 16, dtype=torch.int64)
+    target[:, 4:10, 4:10] = 1
+    losses = region_loss(perfect(target), target)
+    assert all(float(v) < 1e-3 for v in losses.values())
+    wrong = region_loss(perfect(target.flip(1)), target)
+    assert all(float(wrong[k]) > 0.1 for k in losses)
+
+
+def test_class_weight_by_hand():
+    target = torch.tensor([[[0, 1]]])
+    logits = torch.zeros(1, 3, 1, 2)
+    logits[0, :, 0, 1] = torch.tensor([0.0, 2.0, 0.0])  # only the second pixel has an opinion
+    ce = torch.tensor([np.log(3.0), -np.log(np.e**2 / (np.e**2 + 2))], dtype=torch.float32)
+    out = {"logits": logits, "side": [], "boundary": torch.zeros(1, 1, 1, 2)}
+    weighted = region_loss(out, target, torch.tensor([1.0, 4.0, 1.0]))["ce"]
+    assert float(weighted) == pytest.approx(float((ce[0] + 4 * ce[1]) / 5), rel=1e-5)
+
+
+def test_unknown_pixels_are_not_scored():
+    torch.manual_seed(0)
+    target = torch.randint(0, 3, (1, 12, 12))
+    target[:, :4] = IGNORE
+    out = {"logits": torch.randn(1, 3, 12, 12, requires_grad=True), "side": [], "boundary": torch.zeros(1, 1, 12, 12)}
+    region_loss(out, target)["total"].backward()
+    assert (out["logits"].grad[:, :, :4] == 0).all() and (out["logits"].grad[:, :, 4:] != 0).any()
+
+
+def test_a_step_of_training_reaches_every_parameter_and_learns():
+    torch.manual_seed(0)
+    net = RegionNet(TINY)
+    rgb, depth, valid = frame()
+    target = torch.zeros(2, 32, 48, dtype=torch.int64)
+    target[:, 8:20, 10:30] = 2
+    rgb[:, 0, 8:20, 10:30] = 1.0
+    optimiser = torch.optim.Adam(net.parameters(), 3e-3)
+    totals = []
+    for _ in range(25):
+        losses = region_loss(net(rgb, depth, valid), target, torch.tensor([1.0, 2.0, 2.0]))
+        optimiser.zero_grad()
+        losses["total"].backward()
+        assert all(p.grad is not None for p in net.parameters())
+        optimiser.step()
+        totals.append(losses["total"].item())
+    assert totals[-1] < 0.5 * totals[0]
+
+
+def test_class_boundary_by_hand():
+    classes = torch.zeros(1, 5, 6, dtype=torch.int64)
+    classes[:, :, 3:] = 1
+    assert class_boundary(classes)[0].sum(0).tolist() == [0, 0, 5, 5, 0, 0]
+
+
+# ---- refinement (S2)
+
+
+def naive_median(mask, size):
+    half = size // 2
+    padded = np.pad(mask, half, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (size, size))
+    return windows.sum(axis=(2, 3)) * 2 > size * size
+
+
+def naive_dilate(mask, size):
+    padded = np.pad(mask, size // 2)
+    return np.lib.stride_tricks.sliding_window_view(padded, (size, size)).any(axis=(2, 3))
+
+
+@settings(max_examples=60, deadline=None)
+@given(arrays(bool, st.tuples(st.just(9), st.just(9))), st.sampled_from([0, 3, 7]), st.sampled_from([0, 3, 5]))
+def test_refinement_agrees_with_the_naive_one(mask, median, dilate):
+    expected = naive_median(mask, median) if median else mask
+    for _ in range(3 if dilate else 0):
+        expected = naive_dilate(expected, dilate)
+    assert (refine_region(mask, median, dilate, 3) == expected).all()
+
+
+def test_a_speck_goes_and_a_hole_closes():
+    mask = np.zeros((40, 40), bool)
+    mask[2, 2] = True
+    mask[15:30, 15:30] = True
+    mask[22, 22] = False
+    out = refine_region(mask)
+    assert not out[:8, :8].any() and out[22, 22]
+
+
+def test_dilation_grows_six_pixels_a_side():
+    mask = np.zeros((60, 60), bool)
+    mask[20:40, 20:40] = True
+    out = refine_region(mask, median=0)
+    rows = np.flatnonzero(out.any(1))
+    assert (rows[0], rows[-1]) == (14, 45) and out.sum() == 32 * 32
+
+
+@settings(max_examples=30, deadline=None)
+@given(arrays(bool, (12, 15)))
+def test_dilation_never_misses_and_steps_switch_off(mask):
+    assert (refine_region(mask, median=0) | ~mask).all()
+    for off in ({"median": 0, "iterations": 0}, {"median": 1, "dilate": 1}, {"median": 0, "dilate": 0}):
+        assert (refine_region(mask, **off) == mask).all()
+
+
+@pytest.mark.parametrize("bad", [{"median": 6}, {"dilate": 4}, {"median": -1}, {"iterations": -1}])
+def test_bad_kernels_are_refused(bad):
+    with pytest.raises(ValueError, match="expected"):
+        refine_region(np.zeros((9, 9), bool), **bad)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: refine_region(np.zeros((9, 9), np.uint8)),
+        lambda: refine_region(np.zeros((3, 9, 9), bool)),
+        lambda: RegionNet(RegionConfig(levels=1)),
+        lambda: RegionNet(TINY)(torch.zeros(1, 3, 8, 8), torch.zeros(1, 1, 8, 9), torch.zeros(1, 1, 8, 8)),
+        lambda: RegionNet(TINY)(torch.zeros(3, 8, 8), torch.zeros(1, 8, 8), torch.zeros(1, 8, 8)),
+        lambda: region_loss(perfect(torch.zeros(1, 4, 4, dtype=torch.int64)), torch.zeros(1, 4, 5, dtype=torch.int64)),
+    ],
+)
+def test_bad_input_is_refused(call):
+    with pytest.raises(ValueError, match="expected"):
+        call()
