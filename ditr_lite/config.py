@@ -31,9 +31,9 @@ class AutoencoderConfig:
     """VQ autoencoder (Paper: Sec. IV-C, "Latent Space"): two down- and two up-samplings, quantiser in the decoder."""
 
     latent_channels: int = 4
-    codes: int = 1024
+    codes: int = 2048
     width: int = 32
-    multipliers: tuple[int, ...] = (1, 2, 4)  # one entry per stride 1, 2, 4
+    multipliers: tuple[int, ...] = (1, 2)  # at strides 2 and 4; nothing wide runs at stride 1
     res_blocks: int = 1
     commitment: float = 0.25
 
@@ -107,7 +107,7 @@ PRESETS: dict[str, Config] = {
         name="paper",
         size=(736, 1280),  # 1280 x 720 (Table VI), padded to a multiple of 32
         region=RegionConfig(width=32, levels=4),
-        autoencoder=AutoencoderConfig(latent_channels=3, codes=8192, width=128, res_blocks=2),
+        autoencoder=AutoencoderConfig(latent_channels=3, codes=8192, width=128, multipliers=(2, 4), res_blocks=2),
         unet=UNetConfig(width=64, block="plain", cond_channels=64, heads=1),
         detail=DetailConfig(width=0),
         sampler=SamplerConfig(prediction="x0", steps=1000, samples=1),

@@ -19,8 +19,6 @@ from .files import read_array, read_depth, read_labels, read_mask, read_rgb
 class FrameFolder:
     """A folder of frames, found by the file that holds the raw depth.
 
-    A subclass says which files those are, what belongs to which split, and how one frame is read.
-
     Args:
         root: the dataset's folder, or any folder inside it that holds frames.
         split: keep only the frames of this split; None keeps all.
@@ -30,8 +28,7 @@ class FrameFolder:
     """
 
     layout = ""  # for the message
-    frame = ""  # glob of the raw depth files; ``suffix`` is cut off to make the frame's name
-    suffix = ""
+    frame, suffix = "", ""  # glob of the raw depth files, and what is cut off to make the frame's name
     splits: tuple[str, ...] = ()
 
     def __init__(self, root: Path | str, split: str | None = None):

@@ -1,28 +1,27 @@
-r"""The diffusion step and its reversal, equation by equation.
+"""The diffusion step and its reversal, equation by equation.
 
 Paper: Sec. III (the reverse transition) and Sec. IV-C, Eq. 7 to 9. Everything works on data of any shape (B, ...), in
 float32 or float64: what is a latent (B, C, h, w) in the system may be a single number (B,) in an experiment.
 
-Notation (variable name in code -> symbol in the paper -> name in DDPM, Ho et al. 2020, and DDIM, Song et al. 2021):
+Notation (DDPM: Ho et al. 2020; DDIM: Song et al. 2021; abar is alpha-bar, see ``schedule``):
 
-===================  =======================  =================================================================
-code name            paper symbol             DDPM / DDIM name
-===================  =======================  =================================================================
-``x0``               L_0 = Enc(D)             x_0
-``x_t``              L_t                      x_t
-``eps``              epsilon                  epsilon, the noise that was mixed in
-``pred_eps``         epsilon_theta(L_t, t)    epsilon_theta
-``pred_x0``          x_theta(L_t, t), Eq. 9   predicted x_0
-``v``                (not in the paper)       v = sqrt(abar_t) eps - sqrt(1 - abar_t) x0 (Salimans and Ho 2022)
-``signal``           alpha_t, Eq. 9           sqrt(abar_t)
-``noise``            missing in Eq. 9         sqrt(1 - abar_t)
-``beta``, ``alpha``  (not in the paper)       beta_t, alpha_t = 1 - beta_t
-``mean, variance``   mu_theta, Sigma_theta    mu-tilde_t, beta-tilde_t
-``sigma``            (not in the paper)       sigma_t(eta), DDIM Eq. 16
-===================  =======================  =================================================================
+====================  =====================  ===================================================================
+code name             paper symbol           DDPM / DDIM name
+====================  =====================  ===================================================================
+``x0``                L_0 = Enc(D)           x_0
+``x_t``               L_t                    x_t
+``eps``               epsilon                epsilon, the noise that was mixed in
+``pred_eps``          epsilon_theta, Eq. 8   epsilon_theta
+``pred_x0``           x_theta, Eq. 9         predicted x_0
+``v``                 (not in the paper)     v = sqrt(abar_t) eps - sqrt(1 - abar_t) x0 (Salimans and Ho 2022)
+``signal``            alpha_t, Eq. 9         sqrt(abar_t)
+``noise``             missing in Eq. 9       sqrt(1 - abar_t)
+``mean, variance``    mu_theta, Sigma_theta  mu-tilde_t, beta-tilde_t
+``sigma``             (not in the paper)     sigma_t(eta), DDIM Eq. 16
+====================  =====================  ===================================================================
 
 ``t`` counts from 0 to T - 1 here and from 1 to T in both papers; ``t_prev = -1`` is the clean end.
-Every function raises ValueError when shapes, dtypes or the range of ``t`` do not fit.
+Every function raises ValueError when shapes, dtypes or ranges do not fit.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,13 +29,11 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from ditr_lite.schedule import PREDICTIONS, NoiseSchedule, check_timesteps
-
-# ---- the diffusion step: from clean to noisy ------------------------------------------------------------------------
+from ditr_lite.schedule import NoiseSchedule, check_prediction, check_timesteps, levels
 
 
 def q_sample(x0: Tensor, t: Tensor, eps: Tensor, schedule: NoiseSchedule) -> Tensor:
-    r"""Mix data with noise: x_t = sqrt(abar_t) x0 + sqrt(1 - abar_t) eps, a draw from q(x_t given x0).
+    """Mix data with noise: x_t = sqrt(abar_t) x0 + sqrt(1 - abar_t) eps, a draw from q(x_t given x0).
 
     Paper: Eq. 7. Erratum: Eq. 7 says N(0, I) for every t, which holds only in the limit t -> T. The distribution is
     N(sqrt(abar_t) L_0, (1 - abar_t) I); it is q (nothing is learnt), not p_theta.
@@ -49,15 +46,9 @@ def q_sample(x0: Tensor, t: Tensor, eps: Tensor, schedule: NoiseSchedule) -> Ten
 
     Returns:
         x_t, like x0.
-
-    Raises:
-        ValueError: if shapes, dtypes or the range of ``t`` do not fit.
     """
-    signal, noise = _levels(t, schedule, x0=x0, eps=eps)
+    signal, noise = levels(t, schedule, x0=x0, eps=eps)
     return signal * x0 + noise * eps
-
-
-# ---- three ways to say the same: eps, x0, v (arguments and errors as in q_sample) -----------------------------------
 
 
 def eps_from_x0(x_t: Tensor, t: Tensor, x0: Tensor, schedule: NoiseSchedule) -> Tensor:
@@ -66,43 +57,40 @@ def eps_from_x0(x_t: Tensor, t: Tensor, x0: Tensor, schedule: NoiseSchedule) -> 
     Paper: Eq. 9. Erratum: as printed, epsilon_theta = L_t - alpha_t x_theta lacks the division by the noise level
     sqrt(1 - abar_t); without it the "noise" has variance 1 - abar_t instead of 1.
     """
-    signal, noise = _levels(t, schedule, x_t=x_t, x0=x0)
+    signal, noise = levels(t, schedule, x_t=x_t, x0=x0)
     return (x_t - signal * x0) / noise
 
 
 def x0_from_eps(x_t: Tensor, t: Tensor, eps: Tensor, schedule: NoiseSchedule) -> Tensor:
     """Turn (predicted) noise into data, Eq. 9 solved for x_theta: x0 = (x_t - sqrt(1 - abar_t) eps) / sqrt(abar_t)."""
-    signal, noise = _levels(t, schedule, x_t=x_t, eps=eps)
+    signal, noise = levels(t, schedule, x_t=x_t, eps=eps)
     return (x_t - noise * eps) / signal
 
 
 def v_from_x0_eps(x0: Tensor, t: Tensor, eps: Tensor, schedule: NoiseSchedule) -> Tensor:
     """Return the velocity v = sqrt(abar_t) eps - sqrt(1 - abar_t) x0: x_t turned by a right angle."""
-    signal, noise = _levels(t, schedule, x0=x0, eps=eps)
+    signal, noise = levels(t, schedule, x0=x0, eps=eps)
     return signal * eps - noise * x0
 
 
 def x0_from_v(x_t: Tensor, t: Tensor, v: Tensor, schedule: NoiseSchedule) -> Tensor:
     """Turn (predicted) velocity into data: x0 = sqrt(abar_t) x_t - sqrt(1 - abar_t) v. No division, at any t."""
-    signal, noise = _levels(t, schedule, x_t=x_t, v=v)
+    signal, noise = levels(t, schedule, x_t=x_t, v=v)
     return signal * x_t - noise * v
 
 
 def eps_from_v(x_t: Tensor, t: Tensor, v: Tensor, schedule: NoiseSchedule) -> Tensor:
     """Turn (predicted) velocity into noise: eps = sqrt(1 - abar_t) x_t + sqrt(abar_t) v."""
-    signal, noise = _levels(t, schedule, x_t=x_t, v=v)
+    signal, noise = levels(t, schedule, x_t=x_t, v=v)
     return noise * x_t + signal * v
 
 
 def to_x0(model_output: Tensor, x_t: Tensor, t: Tensor, schedule: NoiseSchedule, prediction: str) -> Tensor:
     """Read a model output as ``pred_x0``, whatever ("eps", "x0", "v") the model was trained to predict."""
-    _levels(t, schedule, x_t=x_t, model_output=model_output)
-    _check_prediction(prediction)
+    levels(t, schedule, x_t=x_t, model_output=model_output)
+    check_prediction(prediction)
     convert = {"eps": x0_from_eps, "v": x0_from_v, "x0": lambda x_t, t, x0, schedule: x0}[prediction]
     return convert(x_t, t, model_output, schedule)
-
-
-# ---- training -------------------------------------------------------------------------------------------------------
 
 
 def loss(
@@ -115,15 +103,13 @@ def loss(
     weight: Tensor | Callable[[Tensor], Tensor] | None = None,
     mask: Tensor | None = None,
 ) -> Tensor:
-    r"""Score a prediction: the squared distance to its target, averaged over elements, then over the batch.
+    """Score a prediction: its squared distance to the target, averaged over elements, then over the batch.
 
     Paper: Eq. 8, E ||eps - eps_theta(L_t, t, F(x))||^2, for ``prediction="eps"``, up to the constant 1 / (number of
     elements) by which the mean differs from the squared norm. Erratum: the text calls eps_theta "the pre-trained
-    autoencoders"; it is the denoiser. The same x_t links the predictions, so the three distances are proportional,
-
-        ||eps - pred_eps||^2 = SNR_t ||x0 - pred_x0||^2 = SNR_t / (SNR_t + 1) ||v - pred_v||^2,
-
-    and a loss on x0 or v *is* Eq. 8 with ``weight=eq8_weight(schedule, prediction)``, a reweighted one without.
+    autoencoders"; it is the denoiser. The same x_t links the predictions, so their squared distances are proportional:
+    ||eps - pred_eps||^2 = SNR_t ||x0 - pred_x0||^2 = SNR_t / (SNR_t + 1) ||v - pred_v||^2. So a loss on x0 or v *is*
+    Eq. 8 with ``weight=eq8_weight(schedule, prediction)``, and a reweighted Eq. 8 without.
 
     Args:
         model_output: (B, ...) prediction of what ``prediction`` names.
@@ -133,16 +119,10 @@ def loss(
         schedule: the noise schedule.
         prediction: "eps", "x0" or "v".
         weight: factor per step: a tensor (T,) looked up at t, or a callable from t to (B,). None means 1.
-        mask: broadcasts to x0; elements count by their mask (0 = ignore). None means all.
-
-    Returns:
-        Scalar of x0's dtype; 0 for a sample whose mask is empty.
-
-    Raises:
-        ValueError: if shapes, dtypes, the range of ``t``, the prediction or the weight do not fit.
+        mask: broadcasts to x0; elements count by their mask (0 = ignore); an image without any scores 0.
     """
-    signal, noise = _levels(t, schedule, x0=x0, model_output=model_output, eps=eps)
-    _check_prediction(prediction)
+    signal, noise = levels(t, schedule, x0=x0, model_output=model_output, eps=eps)
+    check_prediction(prediction)
     target = {"eps": eps, "x0": x0, "v": signal * eps - noise * x0}[prediction]
     m = (torch.ones_like(x0) if mask is None else mask.to(x0).expand_as(x0)).reshape(len(t), -1)  # (B, N)
     squared = ((target - model_output) ** 2).reshape(len(t), -1)  # (B, ...) -> (B, N)
@@ -157,18 +137,12 @@ def loss(
     return (w.to(each) * each).mean()
 
 
-# ---- the reverse: from noisy to clean -------------------------------------------------------------------------------
-
-
 def posterior_mean_variance(x0: Tensor, x_t: Tensor, t: Tensor, schedule: NoiseSchedule) -> tuple[Tensor, Tensor]:
-    """Return mean and variance of q(x_{t-1} given x_t, x0), the Gaussian that one reverse step imitates.
+    """Return mean (like x_t) and variance (B, 1, ..., 1) of q(x_{t-1} given x_t, x0), which a reverse step imitates.
 
     DDPM Eq. 6 and 7, with abar_prev = 1 at t = 0, so that the last step returns x0 with variance exactly 0.
-
-    Returns:
-        mean like x_t; variance (B, 1, ..., 1).
     """
-    _levels(t, schedule, x_t=x_t, x0=x0)  # checks
+    levels(t, schedule, x_t=x_t, x0=x0)  # checks
     abar, abar_prev = schedule.alpha_bar(t, x_t.ndim), schedule.alpha_bar(t - 1, x_t.ndim)  # (B, 1, ..., 1) float64
     beta = 1 - abar / abar_prev
     on_x0 = abar_prev.sqrt() * beta / (1 - abar)
@@ -180,13 +154,10 @@ def posterior_mean_variance(x0: Tensor, x_t: Tensor, t: Tensor, schedule: NoiseS
 def ddpm_step(
     x_t: Tensor, t: Tensor, pred_x0: Tensor, schedule: NoiseSchedule, generator: torch.Generator | None = None
 ) -> Tensor:
-    """Draw x_{t-1} from p_theta(x_{t-1} given x_t) = N(mu_theta, Sigma_theta). No noise is added at t = 0.
+    """Draw x_{t-1}, like x_t, from p_theta(x_{t-1} given x_t) = N(mu_theta, Sigma_theta). No noise is added at t = 0.
 
     Paper: Sec. III, unnumbered ("for 1 < t < T"; the first and the last step are left open there). mu_theta is the
     posterior mean with pred_x0 in place of x0, Sigma_theta the posterior variance (DDPM's "fixed small").
-
-    Returns:
-        x_{t-1}, like x_t.
     """
     mean, variance = posterior_mean_variance(pred_x0, x_t, t, schedule)
     return mean + variance.sqrt() * _randn(x_t, generator)  # variance is 0 at t = 0
@@ -203,24 +174,9 @@ def ddim_step(
 ) -> Tensor:
     """Jump from step t to any earlier t_prev (DDIM Eq. 12 and 16).
 
-    x_prev = sqrt(abar_prev) pred_x0 + sqrt(1 - abar_prev - sigma^2) pred_eps + sigma * fresh noise. With eta = 0 the
-    jump is deterministic; with eta = 1 and t_prev = t - 1 it is ddpm_step. pred_eps is always derived from pred_x0
-    (Eq. 9), so a clipped pred_x0 stays consistent.
-
-    Args:
-        x_t: (B, ...) floating.
-        t: (B,) long in [0, T - 1].
-        t_prev: (B,) long in [-1, T - 1], each less than its t; -1 is the clean end.
-        pred_x0: like x_t.
-        schedule: the noise schedule.
-        eta: 0 (deterministic) to 1 (as much fresh noise as DDPM).
-        generator: source of the fresh noise; nothing is drawn when eta = 0.
-
-    Returns:
-        x at t_prev, like x_t.
-
-    Raises:
-        ValueError: if shapes, dtypes, steps or ``eta`` do not fit.
+    x_prev = sqrt(abar_prev) pred_x0 + sqrt(1 - abar_prev - sigma^2) pred_eps + sigma * fresh noise. Each t_prev is less
+    than its t; -1 is the clean end. ``eta`` runs from 0 (deterministic, nothing is drawn) to 1 (where a jump to t - 1
+    is ddpm_step). pred_eps is always derived from pred_x0 (Eq. 9), so a clipped pred_x0 stays consistent.
     """
     if not 0 <= eta <= 1:
         raise ValueError(f"eta: expected a number in [0, 1], got {eta}")
@@ -239,14 +195,10 @@ def timesteps_for(schedule: NoiseSchedule, steps: int) -> list[int]:
     """Choose ``steps`` evenly spaced steps, noisiest first ("trailing": the first is always T - 1).
 
     A spacing that starts lower, like the common "leading" one, would be handed pure noise and told that it is less.
-
-    Raises:
-        ValueError: unless 1 <= steps <= T.
     """
-    total = schedule.timesteps
-    if not 1 <= steps <= total:
-        raise ValueError(f"steps: expected 1 to {total} (the schedule's length), got {steps}")
-    return [round(total * k / steps) - 1 for k in range(steps, 0, -1)]
+    if not 1 <= steps <= schedule.timesteps:
+        raise ValueError(f"steps: expected 1 to {schedule.timesteps} (the schedule's length), got {steps}")
+    return [round(schedule.timesteps * k / steps) - 1 for k in range(steps, 0, -1)]
 
 
 @torch.no_grad()
@@ -261,11 +213,9 @@ def sample(
     callback: Callable[[int, int, Tensor, Tensor], None] | None = None,
     *,
     clip_x0: float | None = None,
-    dtype: torch.dtype = torch.float32,
-    device: torch.device | str | None = None,
     x_T: Tensor | None = None,
 ) -> Tensor:
-    """Draw data from noise by ``steps`` DDIM steps. DDPM's ancestral sampler is ``steps=T, eta=1``.
+    """Draw data x0 from noise by ``steps`` DDIM steps. DDPM's ancestral sampler is ``steps=T, eta=1``.
 
     Args:
         denoise_fn: (x_t (B, ...), t (B,) long) -> prediction (B, ...).
@@ -277,28 +227,17 @@ def sample(
         generator: source of all noise; the same seed gives the same sample.
         callback: called after each step with (index, t, x after the step, pred_x0).
         clip_x0: clamp pred_x0 to [-clip_x0, clip_x0]; off by default (latents have no hard bounds).
-        dtype: of the data.
-        device: of the data; the generator's by default.
-        x_T: start from this (B, ...), its dtype and device, instead of fresh noise.
-
-    Returns:
-        x0, of shape ``shape``.
-
-    Raises:
-        ValueError: if an argument is out of range or shapes do not fit.
+        x_T: start from this (B, ...), on any device and of any dtype, instead of float32 noise on the CPU.
     """
-    _check_prediction(prediction)
+    check_prediction(prediction)
     if x_T is not None and tuple(x_T.shape) != tuple(shape):
         raise ValueError(f"x_T: expected shape {tuple(shape)}, got {tuple(x_T.shape)}")
-    if device is None:
-        device = "cpu" if generator is None else generator.device
-    x = _randn(torch.empty(*shape, dtype=dtype, device=device), generator) if x_T is None else x_T
+    x = _randn(torch.empty(*shape), generator) if x_T is None else x_T
     ts = timesteps_for(schedule, steps)
     for i, (t, t_prev) in enumerate(zip(ts, [*ts[1:], -1], strict=True)):
         t_batch, prev_batch = (torch.full((len(x),), k, dtype=torch.long, device=x.device) for k in (t, t_prev))
         pred_x0 = to_x0(denoise_fn(x, t_batch), x, t_batch, schedule, prediction)
-        if clip_x0 is not None:
-            pred_x0 = pred_x0.clamp(-clip_x0, clip_x0)
+        pred_x0 = pred_x0 if clip_x0 is None else pred_x0.clamp(-clip_x0, clip_x0)
         x = ddim_step(x, t_batch, prev_batch, pred_x0, schedule, eta, generator)
         if callback is not None:
             callback(i, t, x, pred_x0)
@@ -309,23 +248,3 @@ def _randn(like: Tensor, generator: torch.Generator | None) -> Tensor:
     """Draw standard normal noise where the generator lives, so that a CPU seed means the same on every device."""
     device = like.device if generator is None else generator.device
     return torch.randn(like.shape, generator=generator, device=device, dtype=like.dtype).to(like.device)
-
-
-def _levels(t: Tensor, schedule: NoiseSchedule, **data: Tensor) -> tuple[Tensor, Tensor]:
-    """Check that all data are floating, of one dtype and shape (B, ...); return ``signal`` and ``noise`` for them."""
-    check_timesteps(t, schedule.timesteps)
-    first, ref = next(iter(data.items()))
-    if ref.ndim < 1 or not ref.is_floating_point() or len(ref) != len(t):
-        got = f"{ref.dtype} {tuple(ref.shape)}"
-        raise ValueError(f"{first}: expected floating ({len(t)}, ...), one entry per t, got {got}")
-    for name, x in data.items():
-        if x.shape != ref.shape or x.dtype != ref.dtype:
-            raise ValueError(
-                f"{name}: expected {ref.dtype} {tuple(ref.shape)} like {first}, got {x.dtype} {tuple(x.shape)}"
-            )
-    return schedule.signal_noise(t, ref)
-
-
-def _check_prediction(prediction: str) -> None:
-    if prediction not in PREDICTIONS:
-        raise ValueError(f"unknown prediction {prediction!r}; choose one of {', '.join(PREDICTIONS)}")

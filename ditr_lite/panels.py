@@ -5,6 +5,7 @@ pixels without a value are grey, a colour in none of the maps, and their number 
 """
 
 import base64
+import builtins
 from collections.abc import Mapping
 from io import BytesIO
 
@@ -41,11 +42,16 @@ class Picture(Figure):
 
         Colours are chosen for coverage, not by frequency, so that a thin colour bar does not break into steps.
         """
+        self.draw_without_rendering()  # the layout settles in the second draw
         self.canvas.draw()
         image = Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3])
         indexed = image.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
         indexed.save(data := BytesIO(), "png", optimize=True)
         return data.getvalue()
+
+    def _ipython_display_(self) -> None:
+        # Asked for before anything else; otherwise pyplot's inline backend would show its own, larger rendering.
+        builtins.get_ipython().display_pub.publish(self._repr_mimebundle_())
 
     def _repr_mimebundle_(self, include=None, exclude=None) -> dict[str, str]:
         titles = "; ".join(t for ax in self.axes if (t := ax.get_title().replace("\n", ", ")))

@@ -147,6 +147,34 @@ def check_timesteps(t: Tensor, timesteps: int, lowest: int = 0) -> None:
         )
 
 
+def levels(t: Tensor, schedule: NoiseSchedule, **data: Tensor) -> tuple[Tensor, Tensor]:
+    """Check that all data are floating, of one dtype and shape (B, ...); return ``signal`` and ``noise`` for them.
+
+    Raises:
+        ValueError: if they are not, or if ``t`` is not (B,) long in [0, T - 1].
+    """
+    check_timesteps(t, schedule.timesteps)
+    first, ref = next(iter(data.items()))
+    if ref.ndim < 1 or not ref.is_floating_point() or len(ref) != len(t):
+        got = f"{ref.dtype} {tuple(ref.shape)}"
+        raise ValueError(f"{first}: expected floating ({len(t)}, ...), one entry per t, got {got}")
+    for name, x in data.items():
+        if x.shape != ref.shape or x.dtype != ref.dtype:
+            expected, got = (f"{y.dtype} {tuple(y.shape)}" for y in (ref, x))
+            raise ValueError(f"{name}: expected {expected} like {first}, got {got}")
+    return schedule.signal_noise(t, ref)
+
+
+def check_prediction(prediction: str) -> None:
+    """Check that a denoiser may be trained to predict ``prediction``.
+
+    Raises:
+        ValueError: if it is none of ``PREDICTIONS``.
+    """
+    if prediction not in PREDICTIONS:
+        raise ValueError(f"unknown prediction {prediction!r}; choose one of {', '.join(PREDICTIONS)}")
+
+
 def make_schedule(config: ScheduleConfig | None = None) -> NoiseSchedule:
     """Build the noise schedule that ``config`` names (default: the paper's 1,000 steps with LDM's betas).
 
@@ -178,8 +206,7 @@ def min_snr_weight(schedule: NoiseSchedule, prediction: str, gamma: float = 5.0)
     Raises:
         ValueError: for an unknown prediction or a ``gamma`` that is not positive.
     """
-    if prediction not in PREDICTIONS:
-        raise ValueError(f"unknown prediction {prediction!r}; choose one of {', '.join(PREDICTIONS)}")
+    check_prediction(prediction)
     if not gamma > 0:
         raise ValueError(f"gamma: expected a positive number, got {gamma}")
     snr = schedule.snr()

@@ -20,6 +20,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from ditr_lite.config import UNetConfig
 
+Maps = list[Tensor]  # F(x): one map per level, finest first
 STRIDE = 4  # pixels per latent cell and side (S5: sampling scale 4)
 
 
@@ -104,11 +105,9 @@ class CrossAttentionLatentQuery(Attention):
     """The latent asks, the image answers, as in latent diffusion: Q from L_t, K and V from F(x)."""
 
     def __init__(self, channels: int, feature_channels: int, heads: int):
-        super().__init__(channels, feature_channels, channels, heads)
-
-    def forward(self, latent: Tensor, feature: Tensor) -> Tensor:
-        """Attend: latent (B, C, H, W), feature (B, Cf, H, W) -> (B, C, H, W)."""
-        return super().forward(query=latent, source=feature)
+        super().__init__(
+            channels, feature_channels, channels, heads
+        )  # forward(latent, feature): the order fits already
 
 
 CROSS_ATTENTION = {"feature": CrossAttentionFeatureQuery, "latent": CrossAttentionLatentQuery}
@@ -125,8 +124,7 @@ class PlainBlock(nn.Module):
 
     def forward(self, x: Tensor, time: Tensor) -> Tensor:
         """Map (B, Cin, H, W) and time (B, Ct) to (B, C, H, W)."""
-        h = F.relu(self.conv1(x) + self.time(time)[:, :, None, None])
-        return F.relu(self.conv2(h))
+        return F.relu(self.conv2(F.relu(self.conv1(x) + self.time(time)[:, :, None, None])))
 
 
 class ResidualBlock(PlainBlock):
@@ -168,10 +166,7 @@ class Level(nn.Module):
 
 
 class FeatureExtractor(nn.Module):
-    """F(x): the conditioning image at latent size and, for the attentions, at the coarser sizes.
-
-    ``pixel_unshuffle(4)`` first, so that no convolution runs at full resolution and no pixel is thrown away.
-    """
+    """F(x): the conditioning image at latent size (no pixel thrown away) and, for the attentions, at coarser sizes."""
 
     def __init__(self, in_channels: int, config: UNetConfig):
         super().__init__()
@@ -179,10 +174,10 @@ class FeatureExtractor(nn.Module):
         widths = [config.cond_channels * m for m in config.multipliers[:levels]]
         self.steps = nn.ModuleList()
         for i, (a, b) in enumerate(zip([in_channels * STRIDE**2, *widths], widths, strict=False)):
-            first = nn.Conv2d(a, b, 3, stride=2 if i else 1, padding=1)
-            self.steps.append(nn.Sequential(first, norm(b), nn.SiLU(), nn.Conv2d(b, b, 3, padding=1)))
+            first, second = nn.Conv2d(a, b, 3, stride=2 if i else 1, padding=1), nn.Conv2d(b, b, 3, padding=1)
+            self.steps.append(nn.Sequential(first, norm(b), nn.SiLU(), second))
 
-    def forward(self, cond: Tensor) -> list[Tensor]:
+    def forward(self, cond: Tensor) -> Maps:
         """Map (B, Cin, H, W) to [(B, cond_channels, H/4, W/4), twice the channels at H/8, ...]."""
         features = [self.steps[0](F.pixel_unshuffle(cond, STRIDE))]
         for step in self.steps[1:]:
@@ -220,7 +215,7 @@ class DenoisingUNet(nn.Module):
         nn.init.zeros_(self.out.weight)  # an untrained network predicts 0, the mean of normalised latents
         nn.init.zeros_(self.out.bias)
 
-    def features(self, cond: Tensor) -> list[Tensor]:
+    def features(self, cond: Tensor) -> Maps:
         """Return F(x) of a conditioning image (B, Cin, H, W); it does not depend on t: compute it once per image."""
         if cond.ndim != 4 or cond.shape[2] % STRIDE or cond.shape[3] % STRIDE:
             raise ValueError(f"cond: expected (B, C, H, W), H and W multiples of {STRIDE}, got {tuple(cond.shape)}")
@@ -230,11 +225,11 @@ class DenoisingUNet(nn.Module):
         self,
         latents: Tensor,
         t: Tensor,
-        features: list[Tensor],
+        features: Maps,
         masked_latents: Tensor | None = None,
         mask: Tensor | None = None,
     ) -> Tensor:
-        """Predict from noisy latents what the training asked for.
+        """Predict from noisy latents what the training asked for, like ``latents``.
 
         Args:
             latents: (B, C, h, w) floating, L_t; h and w multiples of 2^(levels - 1).
@@ -242,12 +237,6 @@ class DenoisingUNet(nn.Module):
             features: what :meth:`features` returned, F(x).
             masked_latents: (B, C, h, w) encoded masked depth, or None for zeros: nothing is known.
             mask: (B, mask_channels, h, w) where it is known, or None for zeros: nowhere.
-
-        Returns:
-            (B, C, h, w), like latents.
-
-        Raises:
-            ValueError: if a shape does not fit.
         """
         b, c, h, w = latents.shape
         known = latents.new_zeros(b, c, h, w) if masked_latents is None else masked_latents

@@ -31,7 +31,7 @@ def test_sizes_fit_the_networks(name):
 def test_what_the_paper_states_is_the_default():
     refine = config.RefineConfig()
     assert (refine.median, refine.dilate, refine.iterations) == (7, 5, 3)
-    assert len(config.AutoencoderConfig().multipliers) == 3  # sampling scale 4: two halvings
+    assert len(config.AutoencoderConfig().multipliers) == 2  # sampling scale 4: two halvings
     assert config.ScheduleConfig().timesteps == 1000
     assert config.UNetConfig().multipliers == (1, 2, 4, 8)  # four levels, channels double
     paper = config.preset("paper")

@@ -16,6 +16,10 @@ def generator(seed=0):
     return torch.Generator().manual_seed(seed)
 
 
+def start(*shape, seed=0):
+    return torch.randn(shape, generator=generator(seed), dtype=torch.float64)
+
+
 def draw(shape=(5, 3, 4, 6), seed=0, dtype=torch.float64):
     g = generator(seed)
     x0, eps = torch.randn(shape, generator=g, dtype=dtype), torch.randn(shape, generator=g, dtype=dtype)
@@ -209,9 +213,9 @@ def ddim_variance(s, steps):
 @pytest.mark.parametrize("s", [0.3, 1.0, 2.0])
 @pytest.mark.parametrize("steps", [1, 10, 100])
 def test_ddim_reproduces_the_closed_form_variance(s, steps):
-    start = torch.randn(2000, generator=generator(steps), dtype=torch.float64)
-    start = start / start.std()  # unit variance exactly, so that no luck of the draw is left to tolerate
-    x = df.sample(gaussian_denoiser(s), start.shape, SCHEDULE, steps, x_T=start)
+    noise = start(2000)
+    noise = noise / noise.std()  # unit variance exactly, so that no luck of the draw is left to tolerate
+    x = df.sample(gaussian_denoiser(s), noise.shape, SCHEDULE, steps, x_T=noise)
     assert x.var().item() == pytest.approx(ddim_variance(s, steps), rel=1e-9)
 
 
@@ -241,7 +245,7 @@ def test_samplers_reproduce_a_mixture(steps, eta, prediction):
         pred_x0 = mixture_denoiser(x, t)
         return pred_x0 if prediction == "x0" else df.eps_from_x0(x, t, pred_x0, SCHEDULE)
 
-    x = df.sample(model, (1, 8000), SCHEDULE, steps, prediction, eta, generator(5), dtype=torch.float64)
+    x = df.sample(model, (1, 8000), SCHEDULE, steps, prediction, eta, generator(5), x_T=start(1, 8000))
     mean = sum(w * m for w, m in zip(MIXTURE["w"], MIXTURE["mean"], strict=True))
     second = sum(w * (m**2 + s**2) for w, m, s in zip(*MIXTURE.values(), strict=True))
     assert x.mean().item() == pytest.approx(mean, abs=0.04)
@@ -250,7 +254,7 @@ def test_samplers_reproduce_a_mixture(steps, eta, prediction):
 
 
 def test_one_step_returns_the_posterior_mean_not_a_sample():
-    x = df.sample(mixture_denoiser, (1, 1000), SCHEDULE, 1, generator=generator(), dtype=torch.float64)
+    x = df.sample(mixture_denoiser, (1, 1000), SCHEDULE, 1, x_T=start(1, 1000))
     assert x.mean().item() == pytest.approx(0.26, abs=0.01) and x.std() < 0.05  # erratum 20: good RMSE, no spread
 
 
@@ -272,9 +276,9 @@ def test_callback_sees_every_step_and_clipping_bounds_every_prediction():
 
 
 def test_start_can_be_given():
-    start = torch.ones(3, 2, dtype=torch.float64)
-    x = df.sample(lambda x, t: 0.5 * x, (3, 2), SCHEDULE, 1, x_T=start)
-    assert torch.allclose(x, 0.5 * start) and x.dtype == torch.float64
+    ones = torch.ones(3, 2, dtype=torch.float64)
+    x = df.sample(lambda x, t: 0.5 * x, (3, 2), SCHEDULE, 1, x_T=ones)
+    assert torch.allclose(x, 0.5 * ones) and x.dtype == torch.float64
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,16 @@
+import builtins
+import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 
 from ditr_lite import camera, panels, viz
 from ditr_lite.data import Camera, Sample
@@ -135,6 +140,10 @@ def test_compare_draws_every_prediction_and_its_error(sample):
     width, height = figure.get_size_inches()
     assert width <= panels.WIDTH_IN
     assert height < width
+    figure.canvas.draw()
+    left = [round(ax.get_position().x0, 3) for ax, _ in images_of(figure)]
+    assert left[1:4] == left[5:], "an error stands under its depth"
+    assert {label for ax in figure.findobj(Axes) if (label := ax.get_ylabel())} == {"depth (m)", "|error| (mm)"}
     bare = replace(sample, depth_gt=None, region=None)
     assert len(images_of(viz.compare(bare, {"good": sample.depth}))) == 3
 
@@ -146,6 +155,17 @@ def test_pictures_are_small_and_speak_for_themselves_in_a_notebook(sample):
     assert bundle["text/plain"].startswith("<Picture: test_0001; raw, 24 px missing; method 0")
     image = cv2.imdecode(np.frombuffer(figure.png(), np.uint8), cv2.IMREAD_COLOR)
     assert image.shape[1] == 960 and 150 < image.shape[0] < 700
+
+
+def test_a_notebook_shows_the_small_picture_even_with_the_inline_backend(sample, monkeypatch):
+    shown = []
+    publisher = SimpleNamespace(publish=lambda data: shown.append(data))
+    monkeypatch.setattr(builtins, "get_ipython", lambda: SimpleNamespace(display_pub=publisher), raising=False)
+    figure = viz.row([("depth", sample.depth, "raw")])
+    formatter = pytest.importorskip("IPython.core.formatters").DisplayFormatter()
+    formatter.formatters["image/png"].for_type(Figure, lambda fig: b"large")  # what the inline backend registers
+    assert formatter.format(figure) == ({}, {})  # nothing beside what the figure shows itself
+    assert shown == [figure._repr_mimebundle_()]  # drawn again, the bytes are the same
 
 
 def test_drawing_leaves_pyplot_alone(sample):
@@ -216,5 +236,6 @@ def test_what_cannot_be_drawn_is_refused(ax, sample):
 
 def test_no_other_module_draws():
     package = Path(viz.__file__).parent
-    drawing = {p.stem for p in package.glob("*.py") if "matplotlib" in p.read_text(encoding="utf-8")}
+    imports = re.compile(r"^\s*(import|from) matplotlib", re.MULTILINE)
+    drawing = {p.stem for p in package.glob("*.py") if imports.search(p.read_text(encoding="utf-8"))}
     assert drawing == {"panels", "viz"}

@@ -1,0 +1,140 @@
+"""Train one part from start to shipped file: load scenes, run its recipe, validate, save weights and card."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from ditr_lite import recipes
+from ditr_lite.conditioning import fill
+from ditr_lite.config import Config
+from ditr_lite.metrics import iou
+from ditr_lite.pipeline import build
+from ditr_lite.region import region_probability
+from ditr_lite.scenedata import Scenes, load_scenes
+from ditr_lite.schedule import make_schedule
+from ditr_lite.store import load_part, save_part
+from ditr_lite.training import Recipe, fit
+
+PARTS = ("autoencoder", "region", "optical", "geometric", "detail")  # in the order in which they need each other
+
+
+def train(
+    part: str,
+    config: Config,
+    data: Path | str = "outputs/scenes/train",
+    val: Path | str = "data_samples/val",
+    out: Path | str = "ditr_lite/weights",
+    work: Path | str = "outputs/training",
+    recipe: Recipe | None = None,
+    limit: int | None = None,
+    seed: int = 0,
+    boundary: str = "classical",
+) -> dict[str, Any]:
+    """Train ``part`` and write its weights and its entry in the card.
+
+    Args:
+        part: one of :data:`PARTS`. config: sizes. data, val: folders of rendered scenes. out: weights folder, which must
+            hold the parts that this one builds on. work: folder for checkpoints; a stopped run goes on from there.
+        recipe: steps, batch, rate; the part's own by default. limit: use only the first scenes. seed: of everything random.
+        boundary: backend of the guides.
+
+    Raises:
+        ValueError: for an unknown part, no scenes, or a missing part that this one needs.
+    """
+    if part not in PARTS:
+        raise ValueError(f"unknown part {part!r}; choose one of {', '.join(PARTS)}")
+    recipe = recipe or recipes.RECIPES[part]
+    torch.manual_seed(seed)
+    guided = part not in ("autoencoder", "region")
+    cache = Path(work)
+    cache.mkdir(parents=True, exist_ok=True)
+    scenes, held_out = (
+        load_scenes(folder, n, boundary if guided else None, cache / f"{Path(folder).name}-{boundary}.npz")
+        for folder, n in ((data, limit), (val, None))
+    )
+    parts = build(config)
+    for name in {"optical": ["autoencoder"], "geometric": ["autoencoder"], "detail": list(PARTS[:4])}.get(part, []):
+        parts[name].load_state_dict(load_part(name, out))
+        parts[name].eval().requires_grad_(False)
+    model = parts[part].to(memory_format=torch.channels_last)
+    step, validate = _assemble(part, parts, scenes, held_out, config, recipe, seed)
+    notes = fit(part, model, step, recipe, work, validate, seed=seed)
+    if part == "autoencoder":
+        model.eval()
+        model.calibrate(recipes.encode_targets(model, scenes)[:, 0].float())
+    notes |= {"command": " ".join(["python -m ditr_lite", *sys.argv[1:]]), "recipe": vars(recipe), "seed": seed}
+    notes |= {"scenes": len(scenes), "first_scene": scenes.names[0], "last_scene": scenes.names[-1]}
+    save_part(part, model.state_dict(), config, out, notes)
+    return notes
+
+
+def _assemble(part: str, parts: nn.ModuleDict, scenes: Scenes, val: Scenes, config: Config, recipe: Recipe, seed: int):
+    """Return the step loss and the validation of one part."""
+    model = parts[part]
+    if part == "region":
+        return recipes.region_step(model, scenes, recipe, seed), lambda: validate_region(model, val)
+    if part == "autoencoder":
+        return recipes.autoencoder_step(model, scenes, recipe, seed), lambda: validate_autoencoder(model, val)
+    if part == "detail":
+        painted = recipes.paint_all(parts, scenes, config, seed)
+        painted_val = recipes.paint_all(parts, val, config, seed, variants=1)
+        step = recipes.detail_step(model, painted, recipe, len(scenes), seed)
+        return step, lambda: validate_detail(model, painted_val, len(val))
+    step = recipes.branch_step(part, model, parts["autoencoder"], scenes, config, recipe, seed)
+    return step, lambda: validate_branch(part, parts, val, config)
+
+
+def validate_region(model: nn.Module, val: Scenes) -> dict[str, float]:
+    """Return the mean intersection over union of the merged region at threshold 0.5."""
+    scores = []
+    for batch in recipes.batches(val, 8):
+        found = region_probability(model(batch.rgb, batch.depth_n, batch.valid))[:, 0] > 0.5
+        scores += [iou(f.numpy(), m.numpy() > 0) for f, m in zip(found, batch.material, strict=True)]
+    return {"val_iou": float(np.mean([s for s in scores if s is not None]))}
+
+
+def validate_autoencoder(model: nn.Module, val: Scenes) -> dict[str, float]:
+    """Return the root mean square error of decoding the encoded truth, in metres: inside the region, and in the holes."""
+    total = {"val_optical_rmse_m": [], "val_geometric_rmse_m": []}
+    for batch in recipes.batches(val, 8):
+        error = (model(fill(batch.gt_n, batch.gt_known))["reconstruction"] - batch.gt_n) * batch.scale_m
+        region = (batch.material > 0)[:, None].float()
+        holes = (1 - region) * (1 - batch.valid)
+        for name, where in zip(total, (region, holes), strict=True):
+            total[name] += _rmse(error, where * batch.gt_known)
+    return {k: float(np.nanmean(v)) for k, v in total.items()} | {"codes_in_use": model.quantizer.usage}
+
+
+def validate_branch(branch: str, parts: nn.ModuleDict, val: Scenes, config: Config) -> dict[str, float]:
+    """Return the error in metres of one step from pure noise, with the true region, where this branch must paint."""
+    schedule, errors = make_schedule(config.schedule), []
+    for batch in recipes.batches(val, 8):
+        given, paint = recipes.branch_inputs(branch, batch, config)
+        decoded = recipes.one_step(parts[branch], parts["autoencoder"], given, schedule, config, seed=0)
+        errors += _rmse((decoded - batch.gt_n) * batch.scale_m, paint * batch.gt_known)
+    return {"val_rmse_m": float(np.nanmean(errors))}
+
+
+def validate_detail(model: nn.Module, painted, count: int) -> dict[str, float]:
+    """Return optical and geometric error in metres, before and after the finer final step."""
+    out = {"val_optical_before_m": [], "val_optical_m": [], "val_geometric_before_m": [], "val_geometric_m": []}
+    for start in range(0, count, 8):
+        index = np.arange(start, min(start + 8, count))
+        batch, decoded, region = painted(index, None)
+        x = recipes.detail_input(decoded, batch.depth_n, batch.valid, region, batch.rgb, batch.guide_rgb)
+        for suffix, depth in (("_before_m", decoded), ("_m", decoded + model(x))):
+            error = (depth - batch.gt_n) * batch.scale_m
+            holes = (1 - region) * (1 - batch.valid)
+            out[f"val_optical{suffix}"] += _rmse(error, region * batch.gt_known)
+            out[f"val_geometric{suffix}"] += _rmse(error, holes * batch.gt_known)
+    return {k: float(np.nanmean(v)) for k, v in out.items()}
+
+
+def _rmse(error: torch.Tensor, where: torch.Tensor) -> list[float]:
+    count = where.sum(dim=(1, 2, 3))
+    mean = (error.square() * where).sum(dim=(1, 2, 3)) / count.clamp(min=1)
+    return torch.where(count > 0, mean.sqrt(), torch.nan).tolist()

@@ -1,0 +1,312 @@
+"""The whole system: find the region, repaint both kinds of loss in latent space, compose.
+
+Paper: Sec. IV-A and Fig. 5; Eq. 3, ``D_out = DITR(D_in given X)``.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from ditr_lite.autoencoder import VQAutoencoder
+from ditr_lite.boundary import boundary_maps, get_backend
+from ditr_lite.conditioning import CHANNELS, Bounds, Frame, condition, depth_bounds, fit, to_tensor
+from ditr_lite.config import Config
+from ditr_lite.data import clean_depth
+from ditr_lite.detail import DetailNet
+from ditr_lite.diffusion import sample
+from ditr_lite.region import RegionNet, refine_region, region_probability
+from ditr_lite.schedule import make_schedule
+from ditr_lite.unet import DenoisingUNet
+from ditr_lite.store import load_parts
+
+BRANCHES = ("optical", "geometric")
+
+
+@dataclass(frozen=True)
+class Completion:
+    """What :class:`Ditr` returns; all maps have the size of the input.
+
+    Attributes:
+        depth: (H, W) float32 metres, dense.
+        region: (H, W) bool, after refinement (the caller's, if one was given).
+        std: (H, W) float32 metres, spread over the samples; 0 with one sample and where depth was kept.
+        boundary_rgb, boundary_depth, boundary_da: (H, W) bool, M_RGB, M_D and M_DA.
+        probability: (H, W) float32, stage one's belief before threshold and refinement; None for a given region.
+        optical, geometric: (H, W) float32 metres, each branch's own repainting before composition.
+    """
+
+    depth: np.ndarray
+    region: np.ndarray
+    std: np.ndarray
+    boundary_rgb: np.ndarray
+    boundary_depth: np.ndarray
+    boundary_da: np.ndarray
+    probability: np.ndarray | None
+    optical: np.ndarray
+    geometric: np.ndarray
+
+
+def build(config: Config) -> nn.ModuleDict:
+    """Return the untrained networks of a configuration, by the names of their weight files."""
+    latent = config.autoencoder.latent_channels
+    parts = {
+        "region": RegionNet(config.region),
+        "autoencoder": VQAutoencoder(config.autoencoder),
+        "optical": DenoisingUNet(config.unet, latent, len(CHANNELS)),
+        "geometric": DenoisingUNet(config.unet, latent, len(CHANNELS)),
+    }
+    if config.detail.width:
+        parts["detail"] = DetailNet(config.detail)
+    return nn.ModuleDict(parts)
+
+
+def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, region: np.ndarray) -> np.ndarray:
+    """Return the composed depth: the optical branch inside the region, the geometric one in holes, the rest kept.
+
+    Paper: Sec. IV-A, "inside the mask, the depth values are re-estimated [...] outside the mask, the missing depth values
+    are re-generated, and the original depth values are kept".
+
+    Args:
+        depth: (H, W) float32 raw metres, 0 = missing. optical, geometric: (H, W) float32 metres, dense.
+        region: (H, W) bool.
+    """
+    return np.where(region, optical, np.where(depth > 0, depth, geometric)).astype(np.float32)
+
+
+class Ditr:
+    """Two-stage latent-diffusion depth completion.
+
+    Args:
+        parts: the trained networks, as :func:`build` names them.
+        config: what they were built from.
+        boundary: name of a boundary backend (``boundary.BACKENDS``). boundary_path: its files, if it needs any.
+        device: torch device.
+    """
+
+    def __init__(
+        self,
+        parts: nn.ModuleDict,
+        config: Config,
+        boundary: str = "classical",
+        boundary_path: Path | str | None = None,
+        device: str | torch.device = "cpu",
+    ):
+        self.config, self.device = config, torch.device(device)
+        self.parts = parts.to(self.device, memory_format=torch.channels_last).eval().requires_grad_(False)
+        self.schedule = make_schedule(config.schedule)
+        self.backend = get_backend(boundary, boundary_path)
+
+    @classmethod
+    def from_pretrained(
+        cls,
+        path: Path | str | None = None,
+        device: str | torch.device = "cpu",
+        preset: str = "lite",
+        boundary: str = "classical",
+        boundary_path: Path | str | None = None,
+    ) -> "Ditr":
+        """Load trained weights: the shipped ones of a preset, or those in the folder ``path``.
+
+        Raises:
+            ValueError: for missing or damaged weights, or an unknown preset or boundary backend.
+        """
+        config, states = load_parts(path, preset)
+        parts = build(config)
+        for name, module in parts.items():
+            module.load_state_dict(states[name])
+        return cls(parts, config, boundary, boundary_path, device)
+
+    @torch.no_grad()
+    def __call__(
+        self,
+        rgb: np.ndarray,
+        depth: np.ndarray,
+        region: np.ndarray | None = None,
+        steps: int | None = None,
+        samples: int | None = None,
+        adjust: bool = False,
+        seed: int = 0,
+    ) -> Completion:
+        """Complete one frame (Paper: Eq. 3).
+
+        Args:
+            rgb: (H, W, 3) uint8.
+            depth: (H, W) float metres, aligned to ``rgb``, 0 = missing.
+            region: (H, W) bool, transparent or reflective; None lets stage one find it.
+            steps: denoising steps, 1 to the schedule's length. samples: draws whose mean is returned and whose spread is
+                ``std``. Both default to the configuration's.
+            adjust: also repaint valid pixels outside the region; by default they are returned bit for bit.
+            seed: of the noise.
+
+        Raises:
+            ValueError: for inputs of the wrong type or shape, depth without any reading, or counts below 1.
+        """
+        steps = self.config.sampler.steps if steps is None else steps
+        samples = self.config.sampler.samples if samples is None else samples
+        rgb, depth = check_inputs(rgb, depth, region, samples)
+        frame = fit(depth.shape, self.config.size)
+        bounds = depth_bounds(depth)
+        small_rgb, small = frame.into(rgb), frame.into(depth)
+        probability = None
+        if region is None:
+            probability = self.region_probability(small_rgb, small, bounds)
+            small_region = self.refine(probability > 0.5) & frame.into(np.ones(depth.shape, bool))
+            region = frame.back(small_region)
+        else:
+            small_region = frame.into(region)
+        maps = boundary_maps(small_rgb, small, self.backend)
+        optical, geometric = self.inpaint(small_rgb, small, small_region, maps, bounds, steps, samples, seed)
+        parts = [np.stack([frame.back(d) for d in branch]) for branch in (optical, geometric)]  # (S, H, W) each
+        kept = np.zeros_like(depth) if adjust else depth
+        drawn = np.stack([compose(kept, o, g, region) for o, g in zip(*parts, strict=True)])
+        mean = compose(kept, parts[0].mean(0), parts[1].mean(0), region)
+        return Completion(
+            depth=mean,
+            region=region,
+            std=drawn.std(0, ddof=1) if samples > 1 else np.zeros_like(mean),
+            boundary_rgb=frame.back(maps[0]),
+            boundary_depth=frame.back(maps[1]),
+            boundary_da=frame.back(maps[2]),
+            probability=None if probability is None else frame.back(probability),
+            optical=parts[0].mean(0),
+            geometric=parts[1].mean(0),
+        )
+
+    def region_probability(self, rgb: np.ndarray, depth: np.ndarray, bounds: Bounds) -> np.ndarray:
+        """Run stage one at the working size: (H, W) float32 probability of transparent or reflective."""
+        depth_n, valid = _maps(depth, bounds)
+        outputs = self.parts["region"](*self._put(to_tensor(rgb[None]), depth_n, valid))
+        return region_probability(outputs)[0, 0].cpu().numpy()
+
+    def refine(self, mask: np.ndarray) -> np.ndarray:
+        """Refine a mask with the configuration's kernels (Paper: Sec. IV-B)."""
+        r = self.config.refine
+        return refine_region(mask, r.median, r.dilate, r.iterations)
+
+    def inpaint(
+        self,
+        rgb: np.ndarray,
+        depth: np.ndarray,
+        region: np.ndarray,
+        maps: tuple[np.ndarray, np.ndarray, np.ndarray],
+        bounds: Bounds,
+        steps: int,
+        samples: int,
+        seed: int,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Run stage two at the working size.
+
+        Args:
+            rgb, depth, region: (H, W, 3) uint8, (H, W) metres, (H, W) bool, at the working size.
+            maps: M_RGB, M_D, M_DA. bounds: of the frame. steps, samples, seed: of the sampler.
+
+        Returns:
+            optical and geometric repaintings, each (samples, H, W) float32 metres.
+        """
+        depth_n, valid = _maps(depth, bounds)
+        image, mask = to_tensor(rgb[None]), torch.from_numpy(region)[None, None].float()
+        guides = {"optical": maps[2], "geometric": maps[0]}  # M_DA guides the optical branch, M_RGB the geometric one
+        decoded = []
+        for i, branch in enumerate(BRANCHES):
+            guide = torch.from_numpy(guides[branch])[None, None].float()
+            evidence = self.config.evidence and branch == "optical"
+            given = condition(image, depth_n, valid, mask, guide, evidence)
+            generator = torch.Generator().manual_seed(2 * seed + i)
+            decoded.append(self.decode(self.denoise(branch, *given, steps, samples, generator)))
+        if "detail" in self.parts:
+            decoded = self.sharpen(decoded, image, depth_n, valid, mask, torch.from_numpy(maps[0])[None, None].float())
+        low = 0.25 * float(depth[depth > 0].min())  # metric depth is positive, whatever a network says
+        return tuple(np.maximum(bounds.denormalise(d[:, 0].cpu().numpy()), low).astype(np.float32) for d in decoded)
+
+    def denoise(
+        self,
+        branch: str,
+        image: Tensor,
+        filled: Tensor,
+        known: Tensor,
+        steps: int,
+        samples: int,
+        generator: torch.Generator,
+    ) -> Tensor:
+        """Sample latents (samples, C, H/4, W/4) of one branch given what :func:`conditioning.condition` assembled."""
+        net = self.parts[branch]
+        image, filled, known = self._put(image, filled, known)
+        features = [f.expand(samples, -1, -1, -1) for f in net.features(image)]
+        masked = self.parts["autoencoder"].encode(filled).expand(samples, -1, -1, -1)
+        known = known.expand(samples, -1, -1, -1)
+        noise = torch.randn(masked.shape, generator=generator).to(self.device)
+        return sample(
+            lambda x, t: net(x, t, features, masked, known),
+            masked.shape,
+            self.schedule,
+            steps,
+            self.config.sampler.prediction,
+            generator=generator,
+            x_T=noise,
+        )
+
+    def decode(self, latents: Tensor) -> Tensor:
+        """Decode latents (S, C, h, w) to normalised depth (S, 1, H, W)."""
+        return self.parts["autoencoder"].decode(latents)
+
+    def sharpen(
+        self, decoded: list[Tensor], image: Tensor, depth_n: Tensor, valid: Tensor, region: Tensor, boundary: Tensor
+    ) -> list[Tensor]:
+        """Apply the finer final step to both branches, composed as they will be, so that it sees the seams."""
+        together = torch.where(region.to(self.device) > 0, *decoded)
+        x = detail_input(together, *self._put(depth_n, valid, region, image, boundary))
+        residual = self.parts["detail"](x)
+        return [d + residual for d in decoded]
+
+    def _put(self, *tensors: Tensor) -> list[Tensor]:
+        return [t.to(self.device, memory_format=torch.channels_last) for t in tensors]
+
+
+def detail_input(
+    decoded: Tensor, depth_n: Tensor, valid: Tensor, region: Tensor, image: Tensor, boundary: Tensor
+) -> Tensor:
+    """Return the (S, 8, H, W) input of the finer final step, channels as in ``detail.CHANNELS``."""
+    known = valid * (1 - region)
+    raw = torch.where(known > 0, depth_n, decoded)
+    parts = [decoded, raw, known, region, image, boundary]
+    return torch.cat([p.expand(len(decoded), -1, -1, -1) for p in parts], dim=1)
+
+
+def check_inputs(
+    rgb: np.ndarray, depth: np.ndarray, region: np.ndarray | None, samples: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Check a frame and return it with depth as clean float32 metres.
+
+    Raises:
+        ValueError: naming what was expected, what came, and what to do.
+    """
+    rgb, depth = np.asarray(rgb), np.asarray(depth)
+    if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
+        raise ValueError(
+            f"rgb: expected (H, W, 3) uint8, got {rgb.shape} {rgb.dtype}; convert grey or RGBA images to RGB"
+        )
+    if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
+        raise ValueError(
+            f"depth: expected (H, W) float metres, got {depth.shape} {depth.dtype}; divide millimetres by 1000"
+        )
+    if rgb.shape[:2] != depth.shape:
+        raise ValueError(f"rgb is {rgb.shape[:2]} and depth {depth.shape}: align depth to the RGB image first")
+    if region is not None and (np.shape(region) != depth.shape or np.asarray(region).dtype != bool):
+        raise ValueError(f"region: expected {depth.shape} bool, got {np.shape(region)} {np.asarray(region).dtype}")
+    if samples < 1:
+        raise ValueError(f"samples: expected at least 1, got {samples}")
+    depth = clean_depth(depth)
+    if not (depth > 0).any():
+        raise ValueError(
+            "depth holds no reading (all pixels are 0, negative or not finite); completion needs some depth"
+        )
+    return rgb, depth
+
+
+def _maps(depth: np.ndarray, bounds: Bounds) -> tuple[Tensor, Tensor]:
+    valid = torch.from_numpy((depth > 0).astype(np.float32))[None, None]
+    depth_n = torch.from_numpy(bounds.normalise(depth).astype(np.float32))[None, None]
+    return depth_n * valid, valid

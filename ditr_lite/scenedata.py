@@ -1,0 +1,196 @@
+"""Rendered scenes as arrays in memory, and the batches that training draws from them."""
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm.auto import tqdm
+
+from ditr_lite.boundary import boundary_maps, get_backend
+from ditr_lite.conditioning import depth_bounds, to_tensor
+from ditr_lite.data import read_sample
+from ditr_lite.files import written_whole
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """N scenes of one size: rgb (N, H, W, 3) uint8; depth, depth_gt (N, H, W) uint16 millimetres; material (N, H, W) uint8.
+
+    ``guides`` (N, 2, H, W) uint8 holds M_RGB and M_DA; None unless asked for.
+    """
+
+    names: list[str]
+    rgb: np.ndarray
+    depth: np.ndarray
+    depth_gt: np.ndarray
+    material: np.ndarray
+    guides: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def load_scenes(
+    folder: Path | str, limit: int | None = None, boundary: str | None = None, cache: Path | str | None = None
+) -> Scenes:
+    """Read the scenes of a folder that ``simulate`` wrote.
+
+    Args:
+        folder: e.g. ``outputs/scenes/train``. limit: read only the first ones. boundary: backend whose maps to add; they are
+            computed once and kept in ``cache`` (default: a file beside the folder).
+
+    Raises:
+        ValueError: when there is no scene.
+    """
+    folder = Path(folder)
+    paths = sorted(p.parent for p in folder.glob("*/meta.json") if not p.parent.name.endswith(".part"))[:limit]
+    if not paths:
+        raise ValueError(f"no scenes in {folder}: make them with `make samples` or `python -m ditr_lite simulate`")
+    samples = [read_sample(p) for p in tqdm(paths, desc="reading scenes", unit="scene", leave=False)]
+    millimetres = [[np.rint(d * 1000).astype(np.uint16) for d in (s.depth, s.depth_gt)] for s in samples]
+    guides = None
+    if boundary is not None:
+        store = Path(cache) if cache else folder.parent / f"{folder.name}-{boundary}.npz"
+        guides = _guides(paths, boundary, store)
+    return Scenes(
+        names=[s.name for s in samples],
+        rgb=np.stack([s.rgb for s in samples]),
+        depth=np.stack([m[0] for m in millimetres]),
+        depth_gt=np.stack([m[1] for m in millimetres]),
+        material=np.stack([s.material for s in samples]),
+        guides=guides,
+    )
+
+
+def _guides(paths: list[Path], boundary: str, store: Path) -> np.ndarray:
+    known = {}
+    if store.is_file():
+        with np.load(store) as saved:
+            known = {name: bits for name, bits in zip(saved["names"], saved["bits"], strict=True)}
+    missing = [p for p in paths if p.name not in known]
+    if missing:
+        with ProcessPoolExecutor(2) as pool:
+            jobs = pool.map(_guide, [(p, boundary) for p in missing], chunksize=8)
+            for path, bits in zip(missing, tqdm(jobs, total=len(missing), desc="boundary maps"), strict=True):
+                known[path.name] = bits
+        with written_whole(store) as part, open(part, "wb") as file:
+            np.savez_compressed(file, names=np.array(list(known)), bits=np.stack(list(known.values())))
+    shape = read_sample(paths[0]).depth.shape
+    return np.stack([np.unpackbits(known[p.name]).reshape(2, *shape) for p in paths])
+
+
+def _guide(job: tuple[Path, str]) -> np.ndarray:
+    cv2.setNumThreads(1)
+    path, boundary = job
+    sample = read_sample(path)
+    m_rgb, _, m_da = boundary_maps(sample.rgb, sample.depth, get_backend(boundary))
+    return np.packbits(np.stack([m_rgb, m_da]))
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Tensors of B frames in network units: rgb (B, 3, H, W) in [-1, 1], all others (B, 1, H, W)."""
+
+    rgb: Tensor
+    depth_n: Tensor  # raw, 0 where missing
+    valid: Tensor
+    gt_n: Tensor  # ground truth, 0 where unknown
+    gt_known: Tensor
+    material: Tensor  # (B, H, W) int64
+    scale_m: Tensor  # (B, 1, 1, 1) metres per network unit
+    guide_rgb: Tensor | None
+    guide_da: Tensor | None
+    index: np.ndarray  # (B,) which scenes
+    flipped: np.ndarray  # (B,) bool
+
+
+def draw(
+    scenes: Scenes, index: np.ndarray, rng: np.random.Generator, augment: bool = True, colour: bool = True
+) -> Batch:
+    """Return the frames ``index`` as a batch; ``augment`` flips them and varies colour and dropouts.
+
+    Everything random comes from ``rng``, so a step can be drawn again when training resumes. ``colour`` False leaves the
+    images as they are, which is faster where nothing looks at them.
+    """
+    return draw_each(scenes, index, [rng] * len(index), augment, colour)
+
+
+def draw_each(
+    scenes: Scenes, index: np.ndarray, rngs: list[np.random.Generator], augment: bool = True, colour: bool = True
+) -> Batch:
+    """Return the same as :func:`draw`, with a generator for each frame."""
+    frames = [_frame(scenes, i, rng, augment, colour) for i, rng in zip(index, rngs, strict=True)]
+    stacked = {k: np.stack([f[k] for f in frames]) for k in frames[0] if frames[0][k] is not None}
+    maps = {
+        k: torch.from_numpy(v)[:, None].float()
+        for k, v in stacked.items()
+        if k not in ("rgb", "material", "scale_m", "flipped")
+    }
+    return Batch(
+        rgb=to_tensor(stacked["rgb"]),
+        material=torch.from_numpy(stacked["material"].astype(np.int64)),
+        scale_m=torch.from_numpy(stacked["scale_m"]).float().view(-1, 1, 1, 1),
+        guide_rgb=maps.pop("guide_rgb", None),
+        guide_da=maps.pop("guide_da", None),
+        index=np.asarray(index),
+        flipped=stacked["flipped"],
+        **maps,
+    )
+
+
+def _frame(
+    scenes: Scenes, i: int, rng: np.random.Generator, augment: bool, colour: bool
+) -> dict[str, np.ndarray | None]:
+    rgb, material = scenes.rgb[i], scenes.material[i]
+    depth, gt = scenes.depth[i].astype(np.float32) / 1000, scenes.depth_gt[i].astype(np.float32) / 1000
+    guides = scenes.guides[i] if scenes.guides is not None else (None, None)
+    bounds, flipped = depth_bounds(depth), False
+    if augment:
+        rgb = _colours(rgb, rng) if colour else rgb
+        depth = _drop(depth, rng)
+        flipped = bool(rng.random() < 0.5)
+        if flipped:
+            rgb, material, depth, gt = (np.ascontiguousarray(a[:, ::-1]) for a in (rgb, material, depth, gt))
+            guides = [None if g is None else np.ascontiguousarray(g[:, ::-1]) for g in guides]
+    valid, known = depth > 0, gt > 0
+    return {
+        "rgb": rgb,
+        "depth_n": np.where(valid, bounds.normalise(depth), 0),
+        "valid": valid,
+        "gt_n": np.where(known, bounds.normalise(gt), 0),
+        "gt_known": known,
+        "material": material,
+        "scale_m": np.float32((bounds.high - bounds.low) / 2),
+        "guide_rgb": guides[0],
+        "guide_da": guides[1],
+        "flipped": np.bool_(flipped),
+    }
+
+
+def _colours(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Vary gain, contrast, gamma, white balance and noise: renderings are cleaner than cameras."""
+    image = (rgb.astype(np.float32) / 255) ** rng.uniform(0.7, 1.4)
+    image = (image - 0.5) * rng.uniform(0.7, 1.25) + 0.5 + rng.uniform(-0.1, 0.1)
+    image = image * (1 + rng.normal(0, 0.06, 3).astype(np.float32))
+    image += rng.normal(0, rng.uniform(0, 0.03), image.shape).astype(np.float32)
+    if rng.random() < 0.3:
+        image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.4, 1.2))
+    if rng.random() < 0.1:
+        image = np.repeat(image.mean(2, keepdims=True), 3, axis=2)
+    return (np.clip(image, 0, 1) * 255).astype(np.uint8)
+
+
+def _drop(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Lose further readings: border strips and rectangles, as cameras with a narrower view or with occluders do."""
+    depth = depth.copy()
+    if rng.random() < 0.25:
+        strip = int(rng.integers(1, 20))
+        depth[:, :strip] = 0
+    if rng.random() < 0.25:
+        y, x = rng.integers(0, depth.shape[0] - 10), rng.integers(0, depth.shape[1] - 10)
+        depth[y : y + rng.integers(4, 40), x : x + rng.integers(4, 40)] = 0
+    return depth

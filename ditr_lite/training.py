@@ -1,0 +1,135 @@
+"""The training loop that every part shares: moving-average weights, checkpoints, exact resume, a log."""
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors.torch import load_file
+from torch import Tensor, nn
+from tqdm.auto import tqdm
+
+from ditr_lite.store import write_tensors
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How long and how fast one part trains."""
+
+    steps: int
+    batch: int
+    lr: float
+    warmup: int = 100
+    decay: float = 0.995  # of the moving average of the weights
+    weight_decay: float = 1e-4
+
+
+def learning_rate(step: int, recipe: Recipe) -> float:
+    """Return the rate at a step: linear warm-up, then half a cosine down to a hundredth."""
+    if step < recipe.warmup:
+        return recipe.lr * (step + 1) / recipe.warmup
+    progress = (step - recipe.warmup) / max(1, recipe.steps - recipe.warmup)
+    return recipe.lr * (0.01 + 0.99 * 0.5 * (1 + np.cos(np.pi * progress)))
+
+
+def fit(
+    name: str,
+    model: nn.Module,
+    step_loss: Callable[[int], dict[str, Tensor]],
+    recipe: Recipe,
+    folder: Path | str,
+    validate: Callable[[], dict[str, float]] | None = None,
+    every: int = 500,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Train ``model`` in place and leave it with its moving-average weights.
+
+    A checkpoint (weights, average, optimiser) is written to ``folder`` every ``every`` steps; a later call with the same
+    arguments goes on from it. Step k draws the same numbers whether or not training was interrupted before it.
+
+    Args:
+        name: of the part; names the files. model: trained in place. step_loss: step -> losses, of which ``total`` is minimised.
+        recipe: steps, batch and rate. folder: for checkpoints and the log ``name.jsonl``. validate: figures to log with
+            the averaged weights. every: steps between checkpoints. seed: of torch's generator.
+
+    Returns:
+        ``steps``, ``seconds`` of wall time, and the ``curve`` of logged figures.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    checkpoint, log = folder / f"{name}.checkpoint.safetensors", folder / f"{name}.jsonl"
+    parameters = [p for p in model.parameters() if p.requires_grad]
+    optimiser = torch.optim.AdamW(parameters, lr=recipe.lr, weight_decay=recipe.weight_decay)
+    average = {k: v.clone() for k, v in model.state_dict().items()}
+    first, spent, curve = 0, 0.0, []
+    if checkpoint.is_file():
+        first = _restore(load_file(str(checkpoint)), model, average, optimiser, parameters)
+        curve = [row for row in map(json.loads, log.read_text().splitlines()) if row["step"] <= first]
+        spent = curve[-1]["seconds"] if curve else 0.0
+    started = time.monotonic()
+    model.train()
+    for step in tqdm(range(first, recipe.steps), initial=first, total=recipe.steps, desc=name, unit="step"):
+        torch.manual_seed(seed * 1_000_003 + step)
+        for group in optimiser.param_groups:
+            group["lr"] = learning_rate(step, recipe)
+        losses = step_loss(step)
+        optimiser.zero_grad(set_to_none=True)
+        losses["total"].backward()
+        nn.utils.clip_grad_norm_(parameters, 1.0)
+        optimiser.step()
+        _follow(average, model, min(recipe.decay, (step + 1) / (step + 10)))
+        if (step + 1) % every == 0 or step + 1 == recipe.steps:
+            row = {"step": step + 1, "seconds": round(spent + time.monotonic() - started, 1)}
+            row |= {k: round(float(v.detach()), 6) for k, v in losses.items()}
+            if validate is not None:
+                row |= _validate(model, average, validate)
+            curve.append(row)
+            log.write_text("".join(json.dumps(r) + "\n" for r in curve))
+            write_tensors(_snapshot(step + 1, model, average, optimiser, parameters), checkpoint)
+    model.load_state_dict(average)
+    return {"steps": recipe.steps, "seconds": curve[-1]["seconds"] if curve else 0.0, "curve": curve}
+
+
+def _follow(average: dict[str, Tensor], model: nn.Module, decay: float) -> None:
+    for key, value in model.state_dict().items():
+        if value.is_floating_point() and "quantizer" not in key:  # the codebook is a moving average already
+            average[key].lerp_(value, 1 - decay)
+        else:
+            average[key].copy_(value)
+
+
+def _validate(
+    model: nn.Module, average: dict[str, Tensor], validate: Callable[[], dict[str, float]]
+) -> dict[str, float]:
+    current = {k: v.clone() for k, v in model.state_dict().items()}
+    model.load_state_dict(average)
+    model.eval()
+    with torch.no_grad():
+        figures = {k: round(float(v), 6) for k, v in validate().items()}
+    model.load_state_dict(current)
+    model.train()
+    return figures
+
+
+def _snapshot(step: int, model, average, optimiser, parameters) -> dict[str, Tensor]:
+    tensors = {"step": torch.tensor(step)}
+    tensors |= {f"model.{k}": v.clone() for k, v in model.state_dict().items()}
+    tensors |= {f"average.{k}": v.clone() for k, v in average.items()}
+    for i, parameter in enumerate(parameters):
+        tensors |= {f"adam.{i}.{k}": torch.as_tensor(v).clone() for k, v in optimiser.state[parameter].items()}
+    return {k: v.contiguous() for k, v in tensors.items()}
+
+
+def _restore(tensors: dict[str, Tensor], model, average, optimiser, parameters) -> int:
+    model.load_state_dict({k.removeprefix("model."): v for k, v in tensors.items() if k.startswith("model.")})
+    for key, value in average.items():
+        value.copy_(tensors[f"average.{key}"])
+    for i, parameter in enumerate(parameters):
+        keys = ("step", "exp_avg", "exp_avg_sq")
+        if f"adam.{i}.step" in tensors:  # a parameter that never had a gradient has no state
+            optimiser.state[parameter] = {k: tensors[f"adam.{i}.{k}"].clone() for k in keys}
+    return int(tensors["step"])
