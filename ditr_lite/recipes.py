@@ -17,7 +17,7 @@ from ditr_lite.conditioning import condition, fill
 from ditr_lite.config import Config
 from ditr_lite.pipeline import detail_input
 from ditr_lite.region import IGNORE, region_loss
-from ditr_lite.scenedata import Batch, Scenes, draw
+from ditr_lite.scenedata import Batch, Scenes, draw, draw_each
 from ditr_lite.schedule import make_schedule
 from ditr_lite.training import Recipe
 

@@ -2,11 +2,9 @@
 
 Paper: Sec. IV-C "Denoising Step". Four levels, channels doubling; 3x3 convolutions; 2x2 max-pooling; a 1x1 convolution
 as linear projection at the bottom; up-sampling by 2x2 convolutions, each followed by two 3x3 convolutions; self- and
-cross-attention. The paper leaves open how t and the raw depth come in: t through a sinusoidal embedding and an MLP
-(DDPM), the encoded masked depth and its mask concatenated to L_t (as latent inpainting does).
-
-Notation: ``latents`` is L_t (DDPM's x_t), ``cond`` the image x, ``features`` F(x) (latent diffusion's tau(y)), the
-result x_theta of Eq. 9, or epsilon_theta or v_theta, whichever is trained.
+cross-attention. How t and the raw depth come in is left open: here t through a sinusoidal embedding and an MLP (DDPM),
+the encoded masked depth and its mask concatenated to L_t (latent inpainting). Notation: ``latents`` is L_t (DDPM's
+x_t), ``features`` F(x), the result x_theta of Eq. 9 or, as trained, epsilon_theta or v_theta.
 """
 
 import math
@@ -47,12 +45,12 @@ def sinusoid(position: Tensor, channels: int, longest: float) -> Tensor:
 def grid_code(height: int, width: int, channels: int, device: torch.device) -> Tensor:
     """Return the place of every cell of a grid as sinusoids of its row (first half) and column, (H * W, channels).
 
-    Why fixed sinusoids, not a learnt depthwise convolution: in cross-attention the query comes from one stream and the
-    keys from the other, and both must share one coordinate system. Here code(i) . code(j) depends on the offset i - j
-    only and is largest at 0, so "look at the same place" is there before training; any grid size works; no weights.
+    Fixed, not a learnt depthwise convolution: in cross-attention query and keys come from two streams, which must share
+    one coordinate system. Here code(i) . code(j) depends on the offset i - j only and is largest at 0, so "look at the
+    same place" is there before training; any grid size works; no weights.
     """
-    rows = sinusoid(torch.arange(height, device=device), channels // 2, longest=64.0)  # (H, channels / 2)
-    columns = sinusoid(torch.arange(width, device=device), channels // 2, longest=64.0)  # (W, channels / 2)
+    # (H, channels / 2) and (W, channels / 2)
+    rows, columns = (sinusoid(torch.arange(n, device=device), channels // 2, longest=64.0) for n in (height, width))
     return torch.cat([rows.repeat_interleave(width, 0), columns.repeat(height, 1)], dim=1)
 
 
@@ -76,9 +74,8 @@ class Attention(nn.Module):
     def forward(self, query: Tensor, source: Tensor) -> Tensor:
         """Attend: query (B, Cq, H, W), source (B, Cs, H, W) -> (B, channels, H, W)."""
         h, w = query.shape[2:]
-        # (B, C, H, W) -> (B, HW, C): a view, no copy, when memory is channels_last
-        query = self.norm_query(query).permute(0, 2, 3, 1).flatten(1, 2)
-        source = self.norm_source(source).permute(0, 2, 3, 1).flatten(1, 2)
+        query = self.norm_query(query).permute(0, 2, 3, 1).flatten(1, 2)  # (B, C, H, W) -> (B, HW, C): no copy
+        source = self.norm_source(source).permute(0, 2, 3, 1).flatten(1, 2)  # is made when memory is channels_last
         q, k, v = self.to_q(query), self.to_k(source), self.to_v(source)  # each (B, HW, C)
         q, k, v = (x.unflatten(2, (self.heads, -1)).transpose(1, 2) for x in (q, k, v))  # (B, heads, HW, d)
         place = grid_code(h, w, q.shape[-1], q.device).to(q.dtype)  # (HW, d), the same for every head
@@ -88,9 +85,9 @@ class Attention(nn.Module):
 
 
 class CrossAttentionFeatureQuery(Attention):
-    """The image asks, the latent answers: Q from F(x), K and V from L_t; what is gathered is *depth*.
+    """The image asks, the latent answers: Q from F(x), K and V from L_t, so that *depth* is gathered.
 
-    Paper: Sec. IV-C: L_t is "encoded as value and key", the feature is "transformed under the single-query attention".
+    Paper: Sec. IV-C: L_t is "encoded as value and key", the feature "transformed under the single-query attention".
     """
 
     def __init__(self, channels: int, feature_channels: int, heads: int):
@@ -108,9 +105,6 @@ class CrossAttentionLatentQuery(Attention):
         super().__init__(
             channels, feature_channels, channels, heads
         )  # forward(latent, feature): the order fits already
-
-
-CROSS_ATTENTION = {"feature": CrossAttentionFeatureQuery, "latent": CrossAttentionLatentQuery}
 
 
 class PlainBlock(nn.Module):
@@ -141,6 +135,7 @@ class ResidualBlock(PlainBlock):
         return self.skip(x) + self.conv2(F.silu(self.norm2(h)))
 
 
+CROSS_ATTENTION = {"feature": CrossAttentionFeatureQuery, "latent": CrossAttentionLatentQuery}
 BLOCKS = {"residual": ResidualBlock, "plain": PlainBlock}
 
 
@@ -170,8 +165,7 @@ class FeatureExtractor(nn.Module):
 
     def __init__(self, in_channels: int, config: UNetConfig):
         super().__init__()
-        levels = max(config.attention_levels, default=0) + 1
-        widths = [config.cond_channels * m for m in config.multipliers[:levels]]
+        widths = [config.cond_channels * m for m in config.multipliers[: 1 + max(config.attention_levels, default=0)]]
         self.steps = nn.ModuleList()
         for i, (a, b) in enumerate(zip([in_channels * STRIDE**2, *widths], widths, strict=False)):
             first, second = nn.Conv2d(a, b, 3, stride=2 if i else 1, padding=1), nn.Conv2d(b, b, 3, padding=1)
@@ -186,10 +180,9 @@ class FeatureExtractor(nn.Module):
 
 
 class DenoisingUNet(nn.Module):
-    """The denoiser, x_theta(L_t, t, F(x)).
+    """The denoiser, x_theta(L_t, t, F(x)), of a conditioning image with ``cond_in_channels`` (RGB, boundary map, ...).
 
-    ``cond_in_channels`` counts the channels of the conditioning image (RGB, boundary map, ...), ``mask_channels`` those
-    of the mask that goes with the masked latents. Raises ValueError for a block, query or level that does not exist.
+    ``mask_channels`` belong to the masked latents. Raises ValueError for a block, query or level that does not exist.
     """
 
     def __init__(self, config: UNetConfig, latent_channels: int, cond_in_channels: int, mask_channels: int = 1):
@@ -254,6 +247,5 @@ class DenoisingUNet(nn.Module):
             skips.append(x)
         x = self.project(skips.pop())
         for upsample, level in zip(self.upsample, self.up, strict=True):
-            skip = skips.pop()
-            x = level(torch.cat([upsample(x), skip], dim=1), time, features[len(skips)])
+            x = level(torch.cat([upsample(x), skips.pop()], dim=1), time, features[len(skips)])
         return self.out(F.silu(self.norm(x)))

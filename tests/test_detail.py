@@ -41,6 +41,14 @@ def test_every_pixel_has_its_own_value():
     assert torch.linalg.matrix_rank(torch.stack(rows)) == 4
 
 
+def test_fine_detail_passes_by_the_skips():
+    net, x = build()
+    for upsample in net.upsample:  # nothing comes up from the coarser levels
+        torch.nn.init.zeros_(upsample.weight)
+        torch.nn.init.zeros_(upsample.bias)
+    assert (net(x) - net(x.flip(0))).abs().max() > 1e-2
+
+
 def test_lite_meets_its_budget():
     with torch.device("meta"):
         net = DetailNet(preset("lite").detail)
