@@ -161,11 +161,11 @@ def test_a_notebook_shows_the_small_picture_even_with_the_inline_backend(sample,
     shown = []
     publisher = SimpleNamespace(publish=lambda data: shown.append(data))
     monkeypatch.setattr(builtins, "get_ipython", lambda: SimpleNamespace(display_pub=publisher), raising=False)
-    figure = viz.row([("depth", sample.depth, "raw")])
+    figure, same = (viz.row([("depth", sample.depth, "raw")]) for _ in range(2))
     formatter = pytest.importorskip("IPython.core.formatters").DisplayFormatter()
     formatter.formatters["image/png"].for_type(Figure, lambda fig: b"large")  # what the inline backend registers
     assert formatter.format(figure) == ({}, {})  # nothing beside what the figure shows itself
-    assert shown == [figure._repr_mimebundle_()]  # drawn again, the bytes are the same
+    assert shown == [same._repr_mimebundle_()]  # and the same figure has the same bytes
 
 
 def test_drawing_leaves_pyplot_alone(sample):
