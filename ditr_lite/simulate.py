@@ -1,7 +1,8 @@
-"""Render scenes with Mitsuba 3 and turn them into samples: RGB, infrared pair, raw depth, and the truth about each pixel.
+"""Render scenes with Mitsuba 3 and turn them into samples: RGB, infrared pair, raw depth, the truth about each pixel.
 
-Recipe after DREDS (Dai et al., 2022): path-traced infrared pair under a projected dot pattern, block matching, reprojection
-into the RGB view. Mitsuba is an optional extra (``pip install .[simulate]``); nothing else in the package needs it.
+Recipe after DREDS (Dai et al., 2022): path-traced infrared pair under a projected dot pattern, block matching,
+reprojection into the RGB view. Mitsuba is an optional extra (``pip install .[simulate]``); nothing else in the package
+needs it.
 """
 
 import os
@@ -22,7 +23,7 @@ from ditr_lite.scenes import Thing, random_scene
 
 SIZE = (192, 256)  # height, width of the RGB view
 INFRARED_SIZE = (232, 360)  # wider than the RGB view, so that matching has room
-RGB_SAMPLES, INFRARED_SAMPLES = 12, 5  # paths per pixel
+RGB_PASSES, RGB_SAMPLES, INFRARED_SAMPLES = 4, 4, 5  # paths per pixel
 
 
 def simulate(seed: int, split: str = "train", keep_infrared: bool = False) -> Sample:
@@ -42,7 +43,7 @@ def simulate(seed: int, split: str = "train", keep_infrared: bool = False) -> Sa
     left_pose = scene.camera_pose @ stereo.motion()
     right_pose = left_pose @ _shift(stereo.baseline_m)
     visible = load(scene)
-    rgb = _tone_map(render(visible, camera, scene.camera_pose, RGB_SAMPLES, seed), rng)
+    rgb = photograph(visible, camera, scene.camera_pose, rng, seed)
     points, depth_gt, ids = truth(visible, camera, scene.camera_pose, seed)
 
     lit = load(scene, left_pose @ _shift(stereo.baseline_m * rng.uniform(0.2, 0.8)), rng)
@@ -80,13 +81,17 @@ def simulate_many(
 ) -> list[Path]:
     """Render ``count`` scenes into ``root/split/``; scenes that are already there are kept, so a stopped run resumes.
 
-    Scenes in which nothing transparent or reflective is in view (below 0.5 % of the image), or in which the sensor reads
-    less than a quarter of the pixels, are skipped by moving on to the next seed; which those are depends on the seeds
-    alone, so the set is the same however it was made.
+    Scenes in which nothing transparent or reflective is in view (below 0.5 % of the image), or in which the sensor
+    reads less than a quarter of the pixels, are skipped by moving on to the next seed; which those are depends on the
+    seeds alone, so the set is the same however it was made.
 
     Args:
-        root: output folder. split: as in :func:`simulate`. count: scenes wanted. first_seed: first seed to try.
-        workers: processes; one per core is best. infrared: how many of the first scenes keep their infrared pair.
+        root: output folder.
+        split: as in :func:`simulate`.
+        count: scenes wanted.
+        first_seed: first seed to try.
+        workers: processes; one per core is best.
+        infrared: how many of the first seeds keep their infrared pair.
 
     Raises:
         ValueError: for an unknown split or a count below 1.
@@ -157,13 +162,20 @@ def _shift(x: float) -> np.ndarray:
     return pose
 
 
-def _tone_map(radiance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return uint8 sRGB of linear radiance: auto-exposure, white balance error, gamma, and a little denoising."""
+def photograph(loaded: Any, camera: Camera, pose: np.ndarray, rng: np.random.Generator, seed: int) -> np.ndarray:
+    """Return the (H, W, 3) uint8 sRGB picture: exposure, white balance error, gamma, and no grain.
+
+    Few paths leave bright and dark specks, and most in glass and metal: a network would learn the specks instead of the
+    glass. The median of independent passes, then of neighbours, removes them; then comes the denoising that cameras do.
+    """
+    passes = [render(loaded, camera, pose, RGB_SAMPLES, RGB_PASSES * seed + k) for k in range(RGB_PASSES)]
+    radiance = np.median(passes, axis=0)
     exposure = rng.uniform(0.45, 0.75) / max(float(np.percentile(radiance, 80)), 1e-6)
     balance = 1 + rng.normal(0, 0.05, 3)
-    image = np.clip(radiance * exposure * balance, 0, 1) ** (1 / 2.2)
-    image = (image * 255).astype(np.uint8)
-    return cv2.fastNlMeansDenoisingColored(image, None, 5, 8, 5, 11)  # few paths leave grain; cameras remove theirs too
+    image = (np.clip(radiance * exposure * balance, 0, 1) ** (1 / 2.2) * 255).astype(np.uint8)
+    smooth = cv2.medianBlur(image, 3)
+    speck = np.abs(image.astype(int) - smooth).max(axis=2, keepdims=True) > 10
+    return cv2.fastNlMeansDenoisingColored(np.where(speck, smooth, image), None, 4, 8, 5, 11)
 
 
 def _describe(things: list[Thing]) -> list[dict[str, Any]]:
