@@ -193,9 +193,8 @@ class DenoisingUNet(nn.Module):
         if not set(config.attention_levels) <= set(range(len(config.multipliers))):
             raise ValueError(f"attention_levels {config.attention_levels}: only {len(config.multipliers)} levels exist")
         self.config, self.latent_channels, self.mask_channels = config, latent_channels, mask_channels
-        widths = [config.width * m for m in config.multipliers]
+        widths, wide = [config.width * m for m in config.multipliers], 4 * config.width
         self.extractor = FeatureExtractor(cond_in_channels, config)
-        wide = 4 * config.width
         self.time = nn.Sequential(nn.Linear(config.width, wide), nn.SiLU(), nn.Linear(wide, wide), nn.SiLU())
         self.stem = nn.Conv2d(2 * latent_channels + mask_channels + config.cond_channels, widths[0], 3, padding=1)
         ups = range(len(widths) - 2, -1, -1)  # coarse to fine
@@ -248,4 +247,5 @@ class DenoisingUNet(nn.Module):
         x = self.project(skips.pop())
         for upsample, level in zip(self.upsample, self.up, strict=True):
             x = level(torch.cat([upsample(x), skips.pop()], dim=1), time, features[len(skips)])
-        return self.out(F.silu(self.norm(x)))
+        out = self.out(F.silu(self.norm(x)))
+        return out + known if self.config.anchor else out
