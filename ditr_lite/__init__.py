@@ -27,6 +27,7 @@ MODULES = (
     "detail",
     "conditioning",
     "store",
+    "completion",
     "pipeline",
     "baselines",
     "scenedata",

@@ -35,8 +35,8 @@ class Bounds:
 def depth_bounds(depth: np.ndarray) -> Bounds:
     """Choose the bounds of a frame from its *raw* depth alone: ground-truth quantiles would leak the answer.
 
-    The 2nd and 98th percentile, widened downwards by a quarter of their span, because what the sensor misses (glass) stands
-    before what it sees, and upwards by a tenth.
+    The 2nd and 98th percentile, widened downwards by a quarter of their span, because what the sensor misses (glass)
+    stands before what it sees, and upwards by a tenth.
 
     Raises:
         ValueError: when nothing was measured.
@@ -71,7 +71,7 @@ class Frame:
         return np.pad(small, pad + ((0, 0),) * (image.ndim - 2)).astype(image.dtype)
 
     def back(self, image: np.ndarray) -> np.ndarray:
-        """Bring a map (H, W) of the working size back to the source: masks by nearest, depth smoothly but not over edges."""
+        """Bring a map (H, W) back from the working size: masks by nearest, depth smoothly but not over edges."""
         size = (self.source[1], self.source[0])
         image = image[: self.height, : self.width]
         if image.dtype == bool:
@@ -95,7 +95,8 @@ def fill(depth_n: Tensor, known: Tensor) -> Tensor:
     Only a start for the encoder, cheap and dense; the branches repaint it.
 
     Args:
-        depth_n: (B, 1, H, W) normalised depth. known: (B, 1, H, W) 0/1.
+        depth_n: (B, 1, H, W) normalised depth.
+        known: (B, 1, H, W) 0/1.
 
     Returns:
         (B, 1, H, W), equal to ``depth_n`` where known; 0 everywhere when nothing is known.
@@ -120,8 +121,8 @@ def condition(
     """Assemble what a branch is given.
 
     Paper: Sec. IV-A: the mask is multiplied with the depth, so nothing inside the region counts as known. Departure:
-    ``evidence`` shows the in-region readings in channels of their own, *not* as known depth: on real frames they are 1.5 to
-    5 cm off, which is closer than any fill from outside comes.
+    ``evidence`` shows the in-region readings in channels of their own, *not* as known depth: on real frames they are
+    1.5 to 5 cm off, which is closer than any fill from outside comes.
 
     Args:
         rgb: (B, 3, H, W) in [-1, 1].
@@ -132,8 +133,8 @@ def condition(
         evidence: whether in-region readings may be seen.
 
     Returns:
-        the conditioning image (B, 9, H, W) with channels as in :data:`CHANNELS`; the filled known depth (B, 1, H, W) for the
-        encoder; the share of known pixels per latent cell (B, 1, H/4, W/4).
+        the conditioning image (B, 9, H, W) with channels as in :data:`CHANNELS`; the filled known depth (B, 1, H, W)
+        for the encoder; the share of known pixels per latent cell (B, 1, H/4, W/4).
     """
     known = valid * (1 - region)
     filled = fill(depth_n, known)

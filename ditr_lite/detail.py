@@ -5,6 +5,7 @@ that inside surfaces; geometric loss lies along edges. This network sees the dec
 residual. Width 0 in the configuration leaves it out, which is the paper's system.
 """
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
@@ -75,3 +76,22 @@ class DetailNet(nn.Module):
         for upsample, level in zip(self.upsample, self.up, strict=True):
             x = level(upsample(x) + skips.pop())
         return F.pixel_shuffle(self.out(x), 2)  # (B, 4, H/2, W/2) -> (B, 1, H, W)
+
+
+def detail_input(
+    decoded: Tensor, depth_n: Tensor, valid: Tensor, region: Tensor, image: Tensor, boundary: Tensor
+) -> Tensor:
+    """Return the (S, 8, H, W) input of :class:`DetailNet`, channels as in :data:`CHANNELS`.
+
+    Args:
+        decoded: (S, 1, H, W) normalised depth out of the decoder, both branches composed.
+        depth_n: (B, 1, H, W) normalised raw depth; like all that follow, B is S or 1.
+        valid: (B, 1, H, W) 0/1, measured pixels.
+        region: (B, 1, H, W) 0/1, where the optical branch painted.
+        image: (B, 3, H, W) in [-1, 1].
+        boundary: (B, 1, H, W) 0/1, M_RGB.
+    """
+    known = valid * (1 - region)
+    raw = torch.where(known > 0, depth_n, decoded)
+    parts = [decoded, raw, known, region, image, boundary]
+    return torch.cat([p.expand(len(decoded), -1, -1, -1) for p in parts], dim=1)

@@ -3,7 +3,6 @@
 Paper: Sec. IV-A and Fig. 5; Eq. 3, ``D_out = DITR(D_in given X)``.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,41 +11,17 @@ from torch import Tensor, nn
 
 from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.boundary import boundary_maps, get_backend
-from ditr_lite.conditioning import CHANNELS, Bounds, Frame, condition, depth_bounds, fit, to_tensor
+from ditr_lite.completion import Completion, check_inputs, compose
+from ditr_lite.conditioning import CHANNELS, Bounds, condition, depth_bounds, fit, to_tensor
 from ditr_lite.config import Config
-from ditr_lite.data import clean_depth
-from ditr_lite.detail import DetailNet
+from ditr_lite.detail import DetailNet, detail_input
 from ditr_lite.diffusion import sample
 from ditr_lite.region import RegionNet, refine_region, region_probability
 from ditr_lite.schedule import make_schedule
-from ditr_lite.unet import DenoisingUNet
 from ditr_lite.store import load_parts
+from ditr_lite.unet import DenoisingUNet
 
 BRANCHES = ("optical", "geometric")
-
-
-@dataclass(frozen=True)
-class Completion:
-    """What :class:`Ditr` returns; all maps have the size of the input.
-
-    Attributes:
-        depth: (H, W) float32 metres, dense.
-        region: (H, W) bool, after refinement (the caller's, if one was given).
-        std: (H, W) float32 metres, spread over the samples; 0 with one sample and where depth was kept.
-        boundary_rgb, boundary_depth, boundary_da: (H, W) bool, M_RGB, M_D and M_DA.
-        probability: (H, W) float32, stage one's belief before threshold and refinement; None for a given region.
-        optical, geometric: (H, W) float32 metres, each branch's own repainting before composition.
-    """
-
-    depth: np.ndarray
-    region: np.ndarray
-    std: np.ndarray
-    boundary_rgb: np.ndarray
-    boundary_depth: np.ndarray
-    boundary_da: np.ndarray
-    probability: np.ndarray | None
-    optical: np.ndarray
-    geometric: np.ndarray
 
 
 def build(config: Config) -> nn.ModuleDict:
@@ -63,26 +38,14 @@ def build(config: Config) -> nn.ModuleDict:
     return nn.ModuleDict(parts)
 
 
-def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, region: np.ndarray) -> np.ndarray:
-    """Return the composed depth: the optical branch inside the region, the geometric one in holes, the rest kept.
-
-    Paper: Sec. IV-A, "inside the mask, the depth values are re-estimated [...] outside the mask, the missing depth values
-    are re-generated, and the original depth values are kept".
-
-    Args:
-        depth: (H, W) float32 raw metres, 0 = missing. optical, geometric: (H, W) float32 metres, dense.
-        region: (H, W) bool.
-    """
-    return np.where(region, optical, np.where(depth > 0, depth, geometric)).astype(np.float32)
-
-
 class Ditr:
     """Two-stage latent-diffusion depth completion.
 
     Args:
         parts: the trained networks, as :func:`build` names them.
         config: what they were built from.
-        boundary: name of a boundary backend (``boundary.BACKENDS``). boundary_path: its files, if it needs any.
+        boundary: name of a boundary backend (``boundary.BACKENDS``).
+        boundary_path: its files, if it needs any.
         device: torch device.
     """
 
@@ -136,8 +99,8 @@ class Ditr:
             rgb: (H, W, 3) uint8.
             depth: (H, W) float metres, aligned to ``rgb``, 0 = missing.
             region: (H, W) bool, transparent or reflective; None lets stage one find it.
-            steps: denoising steps, 1 to the schedule's length. samples: draws whose mean is returned and whose spread is
-                ``std``. Both default to the configuration's.
+            steps: denoising steps, 1 to the schedule's length; None for the configuration's.
+            samples: draws whose mean is returned and whose spread is ``std``; None for the configuration's.
             adjust: also repaint valid pixels outside the region; by default they are returned bit for bit.
             seed: of the noise.
 
@@ -200,8 +163,14 @@ class Ditr:
         """Run stage two at the working size.
 
         Args:
-            rgb, depth, region: (H, W, 3) uint8, (H, W) metres, (H, W) bool, at the working size.
-            maps: M_RGB, M_D, M_DA. bounds: of the frame. steps, samples, seed: of the sampler.
+            rgb: (H, W, 3) uint8; this and all other maps at the working size.
+            depth: (H, W) float32 metres.
+            region: (H, W) bool.
+            maps: M_RGB, M_D, M_DA.
+            bounds: of the frame.
+            steps: of the sampler.
+            samples: to draw.
+            seed: of the noise.
 
         Returns:
             optical and geometric repaintings, each (samples, H, W) float32 metres.
@@ -263,47 +232,6 @@ class Ditr:
 
     def _put(self, *tensors: Tensor) -> list[Tensor]:
         return [t.to(self.device, memory_format=torch.channels_last) for t in tensors]
-
-
-def detail_input(
-    decoded: Tensor, depth_n: Tensor, valid: Tensor, region: Tensor, image: Tensor, boundary: Tensor
-) -> Tensor:
-    """Return the (S, 8, H, W) input of the finer final step, channels as in ``detail.CHANNELS``."""
-    known = valid * (1 - region)
-    raw = torch.where(known > 0, depth_n, decoded)
-    parts = [decoded, raw, known, region, image, boundary]
-    return torch.cat([p.expand(len(decoded), -1, -1, -1) for p in parts], dim=1)
-
-
-def check_inputs(
-    rgb: np.ndarray, depth: np.ndarray, region: np.ndarray | None, samples: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Check a frame and return it with depth as clean float32 metres.
-
-    Raises:
-        ValueError: naming what was expected, what came, and what to do.
-    """
-    rgb, depth = np.asarray(rgb), np.asarray(depth)
-    if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
-        raise ValueError(
-            f"rgb: expected (H, W, 3) uint8, got {rgb.shape} {rgb.dtype}; convert grey or RGBA images to RGB"
-        )
-    if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
-        raise ValueError(
-            f"depth: expected (H, W) float metres, got {depth.shape} {depth.dtype}; divide millimetres by 1000"
-        )
-    if rgb.shape[:2] != depth.shape:
-        raise ValueError(f"rgb is {rgb.shape[:2]} and depth {depth.shape}: align depth to the RGB image first")
-    if region is not None and (np.shape(region) != depth.shape or np.asarray(region).dtype != bool):
-        raise ValueError(f"region: expected {depth.shape} bool, got {np.shape(region)} {np.asarray(region).dtype}")
-    if samples < 1:
-        raise ValueError(f"samples: expected at least 1, got {samples}")
-    depth = clean_depth(depth)
-    if not (depth > 0).any():
-        raise ValueError(
-            "depth holds no reading (all pixels are 0, negative or not finite); completion needs some depth"
-        )
-    return rgb, depth
 
 
 def _maps(depth: np.ndarray, bounds: Bounds) -> tuple[Tensor, Tensor]:
