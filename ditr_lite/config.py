@@ -1,7 +1,7 @@
 """Every size and constant of the system, in frozen dataclasses, and the three presets built from them.
 
-``tiny`` runs in tests and live notebook cells, ``lite`` is what the shipped weights were trained with, ``paper`` is what
-the paper states (Sec. IV and V-B) wherever it states something.
+``tiny`` runs in tests and live notebook cells, ``lite`` is what the shipped weights were trained with, ``paper`` is
+what the paper states (Sec. IV and V-B) wherever it states something.
 """
 
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
@@ -59,11 +59,12 @@ class UNetConfig:
     query: str = "feature"  # cross-attention: "feature" (the paper's) or "latent" (latent diffusion's)
     block: str = "residual"  # "residual" (GroupNorm, SiLU) or "plain" (the paper's 3x3 conv + ReLU)
     cond_channels: int = 32  # channels of F(x) that are concatenated to L_t
+    anchor: bool = True  # predict what to add to the encoded known depth; only with prediction "x0" (not in the paper)
 
 
 @dataclass(frozen=True)
 class DetailConfig:
-    """The finer final step: a small full-resolution network after the decoder. ``width`` 0 leaves it out (the paper)."""
+    """The finer final step: a small full-resolution network after the decoder. Width 0 leaves it out (the paper)."""
 
     width: int = 24
 
@@ -108,7 +109,7 @@ PRESETS: dict[str, Config] = {
         size=(736, 1280),  # 1280 x 720 (Table VI), padded to a multiple of 32
         region=RegionConfig(width=32, levels=4),
         autoencoder=AutoencoderConfig(latent_channels=3, codes=8192, width=128, multipliers=(2, 4), res_blocks=2),
-        unet=UNetConfig(width=64, block="plain", cond_channels=64, heads=1),
+        unet=UNetConfig(width=64, block="plain", cond_channels=64, heads=1, anchor=False),
         detail=DetailConfig(width=0),
         sampler=SamplerConfig(prediction="x0", steps=1000, samples=1),
         evidence=False,

@@ -39,8 +39,8 @@ class Camera:
 class Stereo:
     """The infrared pair behind a raw depth frame: rectified cameras, left one reprojected into the RGB view.
 
-    ``rgb_from_left`` is the 4 x 4 rigid motion (metres) that takes left-IR camera coordinates to RGB camera coordinates.
-    The right camera sits ``baseline_m`` along +x of the left one.
+    ``rgb_from_left`` is the 4 x 4 rigid motion (metres) that takes left-IR camera coordinates to RGB camera
+    coordinates. The right camera sits ``baseline_m`` along +x of the left one.
     """
 
     camera: Camera

@@ -37,10 +37,19 @@ def train(
     """Train ``part`` and write its weights and its entry in the card.
 
     Args:
-        part: one of :data:`PARTS`. config: sizes. data, val: folders of rendered scenes. out: weights folder, which must
-            hold the parts that this one builds on. work: folder for checkpoints; a stopped run goes on from there.
-        recipe: steps, batch, rate; the part's own by default. limit: use only the first scenes. seed: of everything random.
+        part: one of :data:`PARTS`.
+        config: sizes.
+        data: folder of rendered scenes to train on.
+        val: folder of rendered scenes to validate on.
+        out: weights folder, which must hold the parts that this one builds on.
+        work: folder for checkpoints; a stopped run goes on from there.
+        recipe: steps, batch, rate; the part's own by default.
+        limit: use only the first scenes.
+        seed: of everything random.
         boundary: backend of the guides.
+
+    Returns:
+        the entry of the card: command, recipe, scenes, seconds, curve.
 
     Raises:
         ValueError: for an unknown part, no scenes, or a missing part that this one needs.
@@ -98,7 +107,7 @@ def validate_region(model: nn.Module, val: Scenes) -> dict[str, float]:
 
 
 def validate_autoencoder(model: nn.Module, val: Scenes) -> dict[str, float]:
-    """Return the root mean square error of decoding the encoded truth, in metres: inside the region, and in the holes."""
+    """Return the root mean square error in metres of decoding the encoded truth, inside the region and in the holes."""
     total = {"val_optical_rmse_m": [], "val_geometric_rmse_m": []}
     for batch in recipes.batches(val, 8):
         error = (model(fill(batch.gt_n, batch.gt_known))["reconstruction"] - batch.gt_n) * batch.scale_m

@@ -13,7 +13,7 @@ STATISTICS = {
     "bias_inside_m": "mean of raw - truth where a reading survives inside the region, metres",
     "rmse_inside_m": "root mean square of the same, metres",
     "mae_outside_m": "mean |raw - truth| outside the region, metres",
-    "noise_outside": "median |raw - truth| / truth^2 outside the region, 1/m (stereo noise grows with the square of distance)",
+    "noise_outside": "median |raw - truth| / truth^2 outside the region, 1/m (stereo noise grows with z squared)",
     "region_share": "share of the image that is transparent or reflective",
     "distance_m": "median true depth, metres",
 }
@@ -43,7 +43,12 @@ def frame_statistics(sample: Sample) -> dict[str, float]:
 
 
 def compare(simulated: list[Sample], real: list[Sample]) -> str:
-    """Return a table: 5th, 50th and 95th percentile of the simulated frames, each real frame, and whether it lies inside."""
+    """Return a table: percentiles of the simulated frames, each real frame, and whether it lies between the outer two.
+
+    Args:
+        simulated: frames whose 5th, 50th and 95th percentiles are shown.
+        real: frames to hold against them; may be empty.
+    """
     rows = [frame_statistics(s) for s in simulated]
     frames = [frame_statistics(s) for s in real]
     names = "".join(f"{s.name[-12:]:>14}" for s in real)

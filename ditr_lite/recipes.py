@@ -1,7 +1,7 @@
 """How each network is trained: what a step sees and what it is scored by.
 
-Paper: Sec. V-B. The lite recipes depart from it (AdamW, one cosine decay, minutes instead of days); the card of the weights
-names the command, the steps and the data they were made with.
+Paper: Sec. V-B. The lite recipes depart from it (AdamW, one cosine decay, minutes instead of days); the card of the
+weights names the command, the steps and the data they were made with.
 """
 
 from collections.abc import Callable, Iterator
@@ -69,8 +69,8 @@ def branch_inputs(
 ) -> tuple[tuple[Tensor, Tensor, Tensor], Tensor]:
     """Return what a branch is given (see ``condition``) and where it must paint, (B, 1, H, W) 0/1.
 
-    With ``rng`` the region is the true one grown or shrunk at random, as stage one and its refinement would, and in-region
-    evidence is withheld from one batch in five so that the branch learns to do without.
+    With ``rng`` the region is the true one grown or shrunk at random, as stage one and its refinement would, and
+    in-region evidence is withheld from one batch in five so that the branch learns to do without.
     """
     if region is None:
         region = (batch.material > 0)[:, None].float()
@@ -135,7 +135,7 @@ def detail_step(
     count: int,
     seed: int = 0,
 ) -> StepLoss:
-    """Finer final step: metric error of what the composed output repaints, root mean square per frame and L1 together."""
+    """Finer final step: metric error of what is repainted, root mean square per frame and L1 together."""
 
     def step_loss(step: int) -> dict[str, Tensor]:
         rng = rng_of(seed, step)
@@ -182,9 +182,9 @@ def one_step(net, autoencoder, given: tuple[Tensor, Tensor, Tensor], schedule, c
 def paint_all(parts: nn.ModuleDict, scenes: Scenes, config: Config, seed: int, variants: int = 2):
     """Let the frozen branches paint every scene ``variants`` times, and return a function that draws from the result.
 
-    The first variant is the scene as it is, with its true region; the others have augmented readings and a region that is
-    off, as stage one's is. The function takes indices and a generator (None: first variant) and returns the batch, the
-    decoded depth of both branches composed by region, (B, 1, H, W), and that region.
+    The first variant is the scene as it is, with its true region; the others have augmented readings and a region that
+    is off, as stage one's is. The function takes indices and a generator (None: first variant) and returns the batch,
+    the decoded depth of both branches composed by region, (B, 1, H, W), and that region.
     """
     schedule = make_schedule(config.schedule)
     shape = (len(scenes), variants, 1, *scenes.depth.shape[1:])

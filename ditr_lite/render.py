@@ -1,4 +1,4 @@
-"""Rendering with Mitsuba 3: from a scene description to images, depth and instance ids. Needs the ``simulate`` extra."""
+"""Rendering with Mitsuba 3 (extra ``simulate``): from a scene description to images, depth and instance ids."""
 
 from typing import Any
 
@@ -125,8 +125,8 @@ def truth(loaded: Any, camera: Camera, pose: np.ndarray, seed: int) -> tuple[np.
     """Return the first surface that a camera sees through each pixel's centre.
 
     Returns:
-        (H, W, 3) float64 world points; (H, W) float32 depth in metres, 0 where nothing is hit; (H, W) int thing ids, 0 for
-        table, walls and floor, otherwise the position in ``scene.things`` plus 1.
+        (H, W, 3) float64 world points; (H, W) float32 depth in metres, 0 where nothing is hit; (H, W) int thing ids,
+        0 for table, walls and floor, otherwise the position in ``scene.things`` plus 1.
     """
     mi = mitsuba()
     aovs = {"type": "aov", "aovs": "p:position,n:geo_normal,i:shape_index"}
@@ -187,7 +187,8 @@ def triangles(family: str, solid: bool) -> tuple[np.ndarray, np.ndarray, np.ndar
     """Return vertices (N, 3), faces (M, 3) and texture coordinates (N, 2) of a unit shape, normals pointing out.
 
     Args:
-        family: a name of ``scenes``. solid: give a vessel a wall with an inside instead of a single sheet.
+        family: a name of ``scenes``.
+        solid: give a vessel a wall with an inside instead of a single sheet.
     """
     if family in VESSELS or family in ("sphere", "ellipsoid"):
         points = outline(family)

@@ -18,9 +18,14 @@ from ditr_lite.files import written_whole
 
 @dataclass(frozen=True)
 class Scenes:
-    """N scenes of one size: rgb (N, H, W, 3) uint8; depth, depth_gt (N, H, W) uint16 millimetres; material (N, H, W) uint8.
+    """N scenes of one size.
 
-    ``guides`` (N, 2, H, W) uint8 holds M_RGB and M_DA; None unless asked for.
+    Attributes:
+        names: of the scenes.
+        rgb: (N, H, W, 3) uint8.
+        depth, depth_gt: (N, H, W) uint16 millimetres, 0 = missing or unknown.
+        material: (N, H, W) uint8, 0 opaque, 1 transparent, 2 reflective.
+        guides: (N, 2, H, W) uint8, M_RGB and M_DA; None unless asked for.
     """
 
     names: list[str]
@@ -40,8 +45,10 @@ def load_scenes(
     """Read the scenes of a folder that ``simulate`` wrote.
 
     Args:
-        folder: e.g. ``outputs/scenes/train``. limit: read only the first ones. boundary: backend whose maps to add; they are
-            computed once and kept in ``cache`` (default: a file beside the folder).
+        folder: e.g. ``outputs/scenes/train``.
+        limit: read only the first ones.
+        boundary: backend whose maps to add; they are computed once.
+        cache: file in which the maps are kept; by default one beside the folder.
 
     Raises:
         ValueError: when there is no scene.
@@ -113,8 +120,8 @@ def draw(
 ) -> Batch:
     """Return the frames ``index`` as a batch; ``augment`` flips them and varies colour and dropouts.
 
-    Everything random comes from ``rng``, so a step can be drawn again when training resumes. ``colour`` False leaves the
-    images as they are, which is faster where nothing looks at them.
+    Everything random comes from ``rng``, so a step can be drawn again when training resumes. ``colour`` False leaves
+    the images as they are, which is faster where nothing looks at them.
     """
     return draw_each(scenes, index, [rng] * len(index), augment, colour)
 

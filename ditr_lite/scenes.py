@@ -1,7 +1,7 @@
 """Random table-top scenes as plain data: what stands where, made of what, seen from where. No renderer is needed here.
 
-A scene is drawn from one integer seed. Training and validation scenes share shape families and material ranges; the test
-split draws every transparent or reflective object from families and ranges that training never saw.
+A scene is drawn from one integer seed. Training and validation scenes share shape families and material ranges; the
+test split draws every transparent or reflective object from families and ranges that training never saw.
 Lengths are metres; the table is the plane z = 0 of a right-handed world with z up.
 """
 
@@ -23,7 +23,7 @@ VESSELS = {
     "flask": [(0, 0), (0.42, 0), (0.42, 0.08), (0.12, 0.66), (0.12, 1)],
     "goblet": [(0, 0), (0.30, 0.0), (0.08, 0.15), (0.10, 0.35), (0.40, 0.55), (0.44, 1)],
 }
-# Cross sections of solids pulled straight up: (number of corners, ratio of inner to outer radius; 1 is a regular polygon).
+# Cross sections of solids pulled straight up: (corners, inner over outer radius; 1 is a regular polygon).
 PRISMS = {
     "hexagon": (6, 1.0),
     "cylinder": (48, 1.0),
@@ -152,8 +152,7 @@ def _place(rng, families, size: float, spread: float, held_out: bool) -> list[Th
         family = str(rng.choice(families[kind]))
         scale = _scale(rng, family, size)
         rotation, height = _stand(rng, family, scale)
-        extent = np.abs(rotation) @ (half_extent(family) * scale)
-        radius = np.hypot(*extent[:2]) * 0.8
+        radius = 0.8 * np.hypot(*(np.abs(rotation) @ (half_extent(family) * scale))[:2])
         for _ in range(30):
             spot = rng.uniform(-spread, spread, 2) * (1.25, 1.0)
             if all(np.hypot(*(spot - other)) > crowd * (radius + r) for other, r in taken):
@@ -186,10 +185,9 @@ def _stand(rng, family: str, scale: np.ndarray) -> tuple[np.ndarray, float]:
     turn = rng.uniform(0, 2 * np.pi)
     yaw = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
     lying = rng.random() < (0.6 if family in VESSELS and family != "bowl" else 0.2)
+    tilt = np.pi / 2 if lying else 0.0
     if "mirror" in family:
         tilt = rng.uniform(0, 0.35) if rng.random() < 0.6 else rng.uniform(1.1, 1.45)  # flat, or leaning upright
-    else:
-        tilt = np.pi / 2 if lying else 0.0
     pitch = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
     rotation = yaw @ pitch
     return rotation, float((np.abs(rotation) @ (half_extent(family) * scale))[2])
@@ -204,8 +202,8 @@ def _material(rng, kind: int, family: str, held_out: bool) -> dict[str, Any]:
         tint = 1 - rng.uniform(0, 0.45 if held_out else 0.25) * rng.random(3)
         thin = hollow and rng.random() < 0.75
         # The pattern crosses at least two walls on its way in and out: clear film to frosted or coated plastic.
-        infrared = float(rng.uniform(0.35, 0.98))
-        return {"type": "thin_glass" if thin else "glass", "ior": float(ior), "tint": tint, "infrared": infrared}
+        kept = float(rng.uniform(0.35, 0.98))
+        return {"type": "thin_glass" if thin else "glass", "ior": float(ior), "tint": tint, "infrared": kept}
     metals = ("Cu", "Au") if held_out else ("Ag", "Al", "Cr")
     smooth = rng.random() < 0.6 or "mirror" in family
     rough = rng.uniform(0.2, 0.3) if held_out else rng.uniform(0.05, 0.2)
@@ -214,9 +212,7 @@ def _material(rng, kind: int, family: str, held_out: bool) -> dict[str, Any]:
 
 def _opaque(rng, table: bool = False) -> dict[str, Any]:
     kinds = ("plain", "noise", "stripes", "checker", "wood", "speckle", "print")
-    weights = (
-        np.array([0.2, 0.25, 0.07, 0.06, 0.2, 0.12, 0.1]) if table else np.array([0.35, 0.2, 0.1, 0.05, 0.1, 0.1, 0.1])
-    )
+    weights = np.array([0.2, 0.25, 0.07, 0.06, 0.2, 0.12, 0.1] if table else [0.35, 0.2, 0.1, 0.05, 0.1, 0.1, 0.1])
     return {
         "type": "plastic" if rng.random() < (0.15 if table else 0.25) else "matt",
         "texture": str(rng.choice(kinds, p=weights / weights.sum())),
@@ -230,17 +226,16 @@ def _opaque(rng, table: bool = False) -> dict[str, Any]:
 def _colours(rng) -> np.ndarray:
     """Return (2, 3) linear RGB: a base colour and a companion, from greyish to vivid, dark to bright."""
     base = rng.beta(1.2, 1.2, 3) * rng.uniform(0.2, 0.95)
-    grey = base.mean()
-    base = grey + (base - grey) * rng.uniform(0.1, 1.2)
+    base = base.mean() + (base - base.mean()) * rng.uniform(0.1, 1.2)
     other = np.clip(base * rng.uniform(0.4, 1.8) + rng.normal(0, 0.08, 3), 0.02, 0.95)
     return np.stack([np.clip(base, 0.02, 0.95), other])
 
 
 def _walls(rng, steep: bool) -> list[dict[str, Any]]:
     walls = []
-    if rng.random() < (0.5 if steep else 0.9):
+    if rng.random() < (0.5 if steep else 0.9):  # behind
         walls.append({"y": float(rng.uniform(0.3, 0.9)), "turn": float(rng.normal(0, 0.3)), **_opaque(rng)})
-    if rng.random() < 0.25:
+    if rng.random() < 0.25:  # at one side
         side = rng.choice([-1, 1])
         walls.append({"y": float(rng.uniform(0.3, 0.6)), "turn": float(side * rng.uniform(1.2, 1.7)), **_opaque(rng)})
     return walls

@@ -1,8 +1,8 @@
 """The active-stereo depth sensor: from an infrared pair under a dot pattern to raw depth in the RGB view.
 
-The four sources of depth loss of the paper's Fig. 3 and 4 all come from here: block matching that reads *through* glass and
-*into* mirrors, pixels that only one infrared camera sees, surfaces without a usable pattern, and the parallax between
-the infrared and the RGB camera.
+The four sources of depth loss of the paper's Fig. 3 and 4 all come from here: block matching that reads *through*
+glass and *into* mirrors, pixels that only one infrared camera sees, surfaces without a usable pattern, and the parallax
+between the infrared and the RGB camera.
 """
 
 from dataclasses import dataclass
@@ -60,7 +60,14 @@ def expose(radiance: np.ndarray, matcher: Matcher, rng: np.random.Generator) -> 
 def match(left: np.ndarray, right: np.ndarray, matcher: Matcher, disparities: int = 64) -> np.ndarray:
     """Return (h, w) float32 disparity of the left image in pixels, 0 where no reliable match exists.
 
-    Semi-global matching with a left-right check, then a sub-pixel step; weakly textured windows are dropped, as sensors do.
+    Semi-global matching with a left-right check, then two sub-pixel steps; weakly textured windows are dropped, as
+    sensors do.
+
+    Args:
+        left: (h, w) uint8, rectified.
+        right: (h, w) uint8; a point at column u of ``left`` lies at column u - disparity of ``right``.
+        matcher: settings of the sensor.
+        disparities: search range, in pixels.
     """
     height, width = left.shape
     wide = []
@@ -128,6 +135,17 @@ def raw_depth(
     """Return raw depth in the RGB view and the (H, W) bool map of pixels lost to the sensor's own dropouts.
 
     Depth of the left view is z = f B / d (f in pixels, B in metres, d in pixels).
+
+    Args:
+        left: (h, w) uint8 infrared image.
+        right: the same of the right camera.
+        stereo: geometry of the pair.
+        camera: of the RGB view.
+        matcher: settings of the sensor.
+        rng: draws the dropouts.
+
+    Returns:
+        (H, W) float32 metres, 0 = missing; (H, W) bool.
     """
     disparity = match(left, right, matcher)
     depth = np.zeros_like(disparity)
@@ -149,7 +167,8 @@ def visible_from(
     Args:
         points: (H, W, 3) world coordinates in metres.
         view_depth: (h, w) true depth of that camera.
-        camera: its intrinsics. pose: (4, 4) world from camera.
+        camera: its intrinsics.
+        pose: (4, 4) world from camera.
 
     Returns:
         (H, W) bool: the point projects into the image; (H, W) bool: nothing stands before it.
@@ -174,8 +193,11 @@ def causes(
     """Return (H, W) uint8 ``Cause`` codes: why each pixel is wrong or missing.
 
     Args:
-        loss: (H, W) ``LossType`` codes. material: (H, W) kinds. dropped: pixels lost to dropouts.
-        left, right: what :func:`visible_from` returned for the two infrared cameras.
+        loss: (H, W) ``LossType`` codes.
+        material: (H, W) opaque, transparent or reflective.
+        dropped: (H, W) bool, pixels lost to dropouts.
+        left: what :func:`visible_from` returned for the left infrared camera.
+        right: the same for the right one.
     """
     missing = np.isin(loss, (LossType.OUTSIDE_MISSING, LossType.INSIDE_MISSING))
     wrong = np.isin(loss, (LossType.OUTSIDE_WRONG, LossType.INSIDE_WRONG))

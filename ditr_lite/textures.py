@@ -35,7 +35,7 @@ def texture(kind: str, colours: np.ndarray, seed: int) -> np.ndarray:
 
 
 def environment(seed: int, level: float) -> np.ndarray:
-    """Return a (64, 128, 3) float32 radiance map of a room: a soft gradient with a few bright windows to be reflected."""
+    """Return a (64, 128, 3) float32 radiance map of a room: a soft gradient with a few bright windows."""
     rng = np.random.default_rng([seed, 3])
     rows = np.linspace(1.3, 0.4, 64)[:, None, None]
     tint = 1 + rng.normal(0, 0.08, 3)

@@ -48,13 +48,18 @@ def fit(
 ) -> dict[str, Any]:
     """Train ``model`` in place and leave it with its moving-average weights.
 
-    A checkpoint (weights, average, optimiser) is written to ``folder`` every ``every`` steps; a later call with the same
-    arguments goes on from it. Step k draws the same numbers whether or not training was interrupted before it.
+    A checkpoint (weights, average, optimiser) is written to ``folder`` every ``every`` steps; a later call with the
+    same arguments goes on from it. Step k draws the same numbers whether or not training was interrupted before it.
 
     Args:
-        name: of the part; names the files. model: trained in place. step_loss: step -> losses, of which ``total`` is minimised.
-        recipe: steps, batch and rate. folder: for checkpoints and the log ``name.jsonl``. validate: figures to log with
-            the averaged weights. every: steps between checkpoints. seed: of torch's generator.
+        name: of the part; names the files.
+        model: trained in place.
+        step_loss: step -> losses, of which ``total`` is minimised.
+        recipe: steps, batch and rate.
+        folder: for checkpoints and the log ``name.jsonl``.
+        validate: returns figures to log, taken with the averaged weights.
+        every: steps between checkpoints.
+        seed: of torch's generator.
 
     Returns:
         ``steps``, ``seconds`` of wall time, and the ``curve`` of logged figures.
