@@ -144,8 +144,8 @@ def truth(loaded: Any, camera: Camera, pose: np.ndarray, seed: int) -> tuple[np.
     depth = np.where(np.abs(depth - sampled) < 0.02 * sampled, depth, sampled)  # grazing surfaces keep the sample
     hit = np.linalg.norm(normal, axis=-1) > 0.5
     names = [shape.id() for shape in loaded.shapes()]
-    ids = np.array([int(n.split("_")[1]) if n.startswith("thing_") else 0 for n in names] + [0])
-    ids = ids[np.where(hit, np.rint(index), -1).astype(int)]
+    ids = np.array([0] + [int(n.split("_")[1]) if n.startswith("thing_") else 0 for n in names])
+    ids = ids[np.where(hit, np.rint(index), 0).astype(int)]  # Mitsuba counts shapes from 1; 0 is a miss
     depth = np.where(hit, depth, 0).astype(np.float32)
     return pose[:3, 3] + ray * depth[..., None], depth, ids
 
