@@ -10,13 +10,13 @@ from torch import nn
 
 from ditr_lite import recipes
 from ditr_lite.conditioning import fill
-from ditr_lite.config import Config
+from ditr_lite.config import Config, from_dict
 from ditr_lite.metrics import iou
 from ditr_lite.pipeline import build
 from ditr_lite.region import region_probability
 from ditr_lite.scenedata import Scenes, load_scenes
 from ditr_lite.schedule import make_schedule
-from ditr_lite.store import load_part, save_part
+from ditr_lite.store import CARD, load_part, read_card, save_part
 from ditr_lite.training import Recipe, fit
 
 PARTS = ("autoencoder", "region", "optical", "geometric", "detail")  # in the order in which they need each other
@@ -52,10 +52,12 @@ def train(
         the entry of the card: command, recipe, scenes, seconds, curve.
 
     Raises:
-        ValueError: for an unknown part, no scenes, or a missing part that this one needs.
+        ValueError: for an unknown part, no scenes, a missing part that this one needs, or weights of another
+            configuration in ``out``: one folder holds one system.
     """
     if part not in PARTS:
         raise ValueError(f"unknown part {part!r}; choose one of {', '.join(PARTS)}")
+    _check_same_networks(config, Path(out))
     recipe = recipe or recipes.RECIPES[part]
     torch.manual_seed(seed)
     guided = part not in ("autoencoder", "region")
@@ -79,6 +81,15 @@ def train(
     notes |= {"scenes": len(scenes), "first_scene": scenes.names[0], "last_scene": scenes.names[-1]}
     save_part(part, model.state_dict(), config, out, notes)
     return notes
+
+
+def _check_same_networks(config: Config, out: Path) -> None:
+    if not (out / CARD).is_file():
+        return
+    there = from_dict(read_card(out)["config"])
+    groups = ("region", "autoencoder", "schedule", "unet", "detail")
+    if other := [name for name in groups if getattr(there, name) != getattr(config, name)]:
+        raise ValueError(f"{out} holds weights of another {', '.join(other)} setting: choose another folder for these")
 
 
 def _assemble(part: str, parts: nn.ModuleDict, scenes: Scenes, val: Scenes, config: Config, recipe: Recipe, seed: int):

@@ -79,7 +79,10 @@ class Ditr:
         config, states = load_parts(path, preset)
         parts = build(config)
         for name, module in parts.items():
-            module.load_state_dict(states[name])
+            try:
+                module.load_state_dict(states[name])
+            except RuntimeError:  # its message is a page of tensor names
+                raise ValueError(f"the {name} weights do not fit the sizes in their card; restore both") from None
         return cls(parts, config, boundary, boundary_path, device)
 
     @torch.no_grad()
@@ -187,7 +190,8 @@ class Ditr:
             decoded.append(self.decode(self.denoise(branch, *given, steps, samples, generator)))
         if "detail" in self.parts:
             decoded = self.sharpen(decoded, image, depth_n, valid, mask, torch.from_numpy(maps[0])[None, None].float())
-        low = 0.25 * float(depth[depth > 0].min())  # metric depth is positive, whatever a network says
+        # metric depth is positive, whatever a network says; sparse readings may all be lost on the way to this size
+        low = 0.25 * float(depth.min(where=depth > 0, initial=bounds.high))
         return tuple(np.maximum(bounds.denormalise(d[:, 0].cpu().numpy()), low).astype(np.float32) for d in decoded)
 
     def denoise(

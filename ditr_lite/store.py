@@ -25,15 +25,18 @@ def read_card(folder: Path | str | None = None) -> dict[str, Any]:
     """Return the card of a weights folder: ``config`` and, per part, command, data, steps, time, curve, sha256.
 
     Raises:
-        ValueError: when there is none, or it is not JSON.
+        ValueError: when there is none, or it is not such a card.
     """
     path = Path(folder or WEIGHTS) / CARD
     try:
-        return json.loads(path.read_text())
+        card = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ValueError(f"no weights in {path.parent}: expected {CARD} there; train them with `make train`") from None
-    except json.JSONDecodeError as error:
+    except ValueError as error:  # not JSON, or not even text
         raise ValueError(f"{path} is damaged ({error}); restore it or train again with `make train`") from None
+    if not isinstance(card, dict) or not {"config", "parts"} <= card.keys():
+        raise ValueError(f"{path} is no card of weights: it lacks config or parts; restore it")
+    return card
 
 
 def save_part(name: str, state: dict[str, Tensor], config: Config, folder: Path | str, notes: dict[str, Any]) -> Path:

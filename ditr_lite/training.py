@@ -63,6 +63,9 @@ def fit(
 
     Returns:
         ``steps``, ``seconds`` of wall time, and the ``curve`` of logged figures.
+
+    Raises:
+        ValueError: for a checkpoint of a model of other sizes.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -72,7 +75,10 @@ def fit(
     average = {k: v.clone() for k, v in model.state_dict().items()}
     first, spent, curve = 0, 0.0, []
     if checkpoint.is_file():
-        first = _restore(load_file(str(checkpoint)), model, average, optimiser, parameters)
+        try:
+            first = _restore(load_file(str(checkpoint)), model, average, optimiser, parameters)
+        except (RuntimeError, KeyError):  # torch's message is a page of tensor names
+            raise ValueError(f"{checkpoint} is of other sizes: delete it, or use another folder") from None
         curve = [row for row in map(json.loads, log.read_text().splitlines()) if row["step"] <= first]
         spent = curve[-1]["seconds"] if curve else 0.0
     started = time.monotonic()
