@@ -48,6 +48,7 @@ MODULES = (
     "viz",
     "checker",
     "checks",
+    "commands",
 )
 
 # The names that need no module in front of them.

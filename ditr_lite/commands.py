@@ -1,0 +1,221 @@
+"""What each command of ``python -m ditr_lite`` does, given its parsed arguments.
+
+Everything heavy is imported inside the functions, so that ``--help`` answers at once. Bad input is a ValueError,
+FileNotFoundError or ImportError, and nothing is written before everything is computed.
+"""
+
+import json
+import os
+import shlex
+from argparse import Namespace
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+SHIPPED = (("test", 128, 4), ("val", 48, 2), ("train", 24, 2))  # data_samples: split, scenes, with infrared pair
+MAKE_TRAIN = "python -m ditr_lite simulate --split train --count 1500 --out outputs/scenes --workers 2"
+MAKE_VAL = "python -m ditr_lite simulate"
+
+
+def complete(args: Namespace) -> None:
+    """Complete one RGB-D frame of any camera and write the depth; on request a point cloud and a picture too."""
+    _check_target(args.out, ".png", ".npy", ".exr")
+    _check_target(args.ply, ".ply")
+    _check_target(args.panel, ".png")
+    if args.ply and not args.intrinsics:
+        raise ValueError("--ply needs the camera: give --intrinsics FILE (3x3 matrix, or lines fx: cx: ...)")
+    from ditr_lite.camera import read_intrinsics, write_ply
+    from ditr_lite.files import read_depth, read_mask, read_rgb, write_depth
+
+    rgb, depth = read_rgb(args.rgb), read_depth(args.depth, args.depth_scale)
+    region = read_mask(args.region) if args.region else None
+    for path, array in ((args.depth, depth), (args.region, region)):
+        if array is not None and array.shape != rgb.shape[:2]:
+            raise ValueError(f"{path} is {array.shape}, {args.rgb} {rgb.shape[:2]} (height, width): align them first")
+    camera = read_intrinsics(args.intrinsics, rgb.shape[:2]) if args.intrinsics else None
+    out = _load(args)(rgb, depth, region, args.steps, args.samples, args.adjust, args.seed)
+    write_depth(args.out, out.depth)
+    if args.ply:
+        write_ply(args.ply, out.depth, rgb, camera)
+    if args.panel:
+        from ditr_lite.viz import save_panel
+
+        save_panel(args.panel, rgb, depth, out.depth, out.region, out.std)
+    height, width = out.depth.shape
+    holes = ((depth == 0) & ~out.region).mean()
+    print(
+        f"{args.out}: {width} x {height}, {out.depth.min():.3f} to {out.depth.max():.3f} m; "
+        f"region {out.region.mean():.1%}, holes filled outside it {holes:.1%}"
+    )
+
+
+def evaluate(args: Namespace) -> None:
+    """Score DITR and every baseline on a split of rendered scenes or on a real dataset, and print the tables."""
+    _check_target(args.json, ".json")
+    source, frames = _frames(args)
+    from ditr_lite import evaluation, protocols
+
+    protocol = protocols.CLEARGRASP if args.dataset == "cleargrasp" else None
+    results = evaluation.run_methods(
+        frames, _load(args), None, args.given_region, args.steps, args.samples, protocol=protocol
+    )
+    print(f"{source}, region {'given' if args.given_region else 'found by stage one'}")
+    print(evaluation.format_report(evaluation.summary(results), protocol))
+    if args.json:
+        notes = {"source": source, "given_region": args.given_region, "steps": args.steps, "samples": args.samples}
+        write_json(args.json, evaluation.to_json(results, _line(args), args.weights, **notes))
+
+
+def bench(args: Namespace) -> None:
+    """Print the evaluation tables of a split and what each stage costs in time and operations."""
+    _check_target(args.json, ".json")
+    source, frames = _frames(args)
+    from ditr_lite import evaluation, latency
+
+    ditr, first = _load(args), frames[0]
+    rows = latency.measure(ditr, first, args.runs, args.steps, args.samples)
+    results = evaluation.run_methods(frames, ditr, None, args.given_region, args.steps, args.samples)
+    height, width = first.depth.shape
+    print(f"{source}, region {'given' if args.given_region else 'found by stage one'}")
+    print(evaluation.format_report(evaluation.summary(results)))
+    print(f"\nmedian of {args.runs} runs, a frame of {width} x {height}, working size {ditr.config.size[::-1]}")
+    print(latency.format_latency(rows))
+    if args.json:
+        notes = {"source": source, "given_region": args.given_region, "steps": args.steps, "samples": args.samples}
+        notes |= {"latency": {"runs": args.runs, "frame": [height, width], "stages": rows}}
+        write_json(args.json, evaluation.to_json(results, _line(args), args.weights, **notes))
+
+
+def simulate(args: Namespace) -> None:
+    """Render scenes of one split; without a split, the scenes that the repository ships."""
+    workers = args.workers or os.cpu_count() or 1
+    if args.split is None:
+        wanted = {"--count": args.count, "--first-seed": args.first_seed, "--infrared": args.infrared}
+        if given := [name for name, value in wanted.items() if value is not None]:
+            raise ValueError(f"{given[0]} needs --split; without a split the shipped scenes are made")
+        jobs = [(split, count, 0, infrared) for split, count, infrared in SHIPPED]
+    else:
+        if args.count is None:
+            raise ValueError("--split needs --count, the number of scenes")
+        jobs = [(args.split, args.count, args.first_seed or 0, args.infrared or 0)]
+    from ditr_lite.data import SAMPLES
+    from ditr_lite.simulate import simulate_many
+
+    root = args.out or (SAMPLES if args.split is None else Path("outputs/scenes"))
+    for split, count, first_seed, infrared in jobs:
+        paths = simulate_many(root, split, count, first_seed, workers, infrared)
+        print(f"{Path(root) / split}: {len(paths)} scenes, {paths[0].name} to {paths[-1].name}")
+
+
+def train(args: Namespace) -> None:
+    """Train one part, or all in the order in which they need each other, and write weights and card."""
+    from dataclasses import replace
+
+    from ditr_lite import fitting
+    from ditr_lite.config import override, preset
+    from ditr_lite.recipes import RECIPES
+    from ditr_lite.store import WEIGHTS
+
+    if args.part not in ("all", *fitting.PARTS):
+        raise ValueError(f"unknown part {args.part!r}; choose all or one of {', '.join(fitting.PARTS)}")
+    config = override(preset(args.preset), **dict(_setting(text) for text in args.set))
+    for folder, command in ((args.data, MAKE_TRAIN), (args.val, MAKE_VAL)):
+        if not any(Path(folder).glob("*/meta.json")):
+            raise ValueError(f"no scenes in {folder}: make them with `{command}`")
+    # Only the plain lite preset goes where the shipped weights and their checkpoints are.
+    tag = args.preset + ("-changed" if args.set else "")
+    out = args.out or (WEIGHTS if tag == "lite" else Path("outputs/weights") / tag)
+    work = args.work or (Path("outputs/training") if tag == "lite" else Path("outputs/training") / tag)
+    changes = {k: getattr(args, k) for k in ("steps", "batch", "lr") if getattr(args, k) is not None}
+    for part in fitting.PARTS if args.part == "all" else [args.part]:
+        recipe = replace(RECIPES[part], **changes)
+        notes = fitting.train(
+            part, config, args.data, args.val, out, work, recipe, args.limit, args.seed, args.boundary
+        )
+        last = {k: v for k, v in (notes["curve"] or [{}])[-1].items() if k.startswith("val_")}
+        figures = ", ".join(f"{k.removeprefix('val_')} {v:.4f}" for k, v in last.items())
+        print(f"{Path(out) / part}.safetensors: {notes['steps']} steps, {notes['seconds']:.0f} s; {figures}")
+
+
+def write_json(path: Path | str, values: Any) -> None:
+    """Write ``values`` as JSON, whole or not at all.
+
+    Raises:
+        ValueError: for numbers that JSON does not know (NaN, infinity).
+    """
+    from ditr_lite.files import written_whole
+
+    text = json.dumps(values, indent=1, allow_nan=False, default=str) + "\n"
+    with written_whole(path) as part:
+        part.write_text(text)
+
+
+class _First:
+    """The first ``limit`` frames of a list of names, read when asked for."""
+
+    def __init__(self, names: list, read, limit: int | None):
+        self.names, self.read = names[:limit], read
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, index: int):
+        return self.read(self.names[index])
+
+    def __iter__(self) -> Iterator:
+        return (self.read(name) for name in self.names)
+
+
+def _frames(args: Namespace) -> tuple[str, _First]:
+    """Return what to call the frames and the frames themselves; refuse those that cannot be scored."""
+    if args.limit is not None and args.limit < 1:
+        raise ValueError(f"--limit should be at least 1, got {args.limit}")
+    if getattr(args, "dataset", None) is None:
+        from functools import partial
+
+        from ditr_lite.data import list_samples, load_sample
+
+        split = args.split or "test"
+        return f"{split} split", _First(
+            list_samples(split, args.root), partial(load_sample, root=args.root), args.limit
+        )
+    from ditr_lite.datasets import REGISTRY
+
+    if args.dataset not in REGISTRY:
+        raise ValueError(f"unknown dataset {args.dataset!r}; choose one of {', '.join(REGISTRY)}")
+    if args.root is None:
+        raise ValueError(f"--dataset {args.dataset} needs --root DIR, the folder that holds it")
+    dataset = REGISTRY[args.dataset](args.root, args.split)
+    frames = _First(dataset.names, dataset.__getitem__, args.limit)
+    if frames[0].depth_gt is None:
+        raise ValueError(f"{args.dataset} in {args.root} has no ground-truth depth: nothing to score; see `complete`")
+    return f"{args.dataset} in {args.root}{f', split {args.split}' if args.split else ''}", frames
+
+
+def _load(args: Namespace):
+    from ditr_lite.pipeline import Ditr
+
+    return Ditr.from_pretrained(path=args.weights)
+
+
+def _line(args: Namespace) -> str:
+    return shlex.join(["python", "-m", "ditr_lite", *args.argv])
+
+
+def _setting(text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise ValueError(f"--set expects key=value like unet.width=48, got {text!r}")
+    return key, value
+
+
+def _check_target(path: Path | None, *suffixes: str) -> None:
+    """Refuse a file that could not be written before any work is done."""
+    if path is None:
+        return
+    if path.suffix not in suffixes:
+        raise ValueError(f"cannot write {path}: expected a name ending in {', '.join(suffixes)}")
+    if path.is_dir():
+        raise ValueError(f"cannot write {path}: it is a folder")
+    if blocked := [p for p in path.parents if p.exists() and not p.is_dir()]:
+        raise ValueError(f"cannot write {path}: {blocked[0]} is a file, not a folder")
