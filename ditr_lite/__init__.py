@@ -48,6 +48,7 @@ MODULES = (
     "viz",
     "checker",
     "checks",
+    "checks_diffusion",
     "commands",
 )
 
