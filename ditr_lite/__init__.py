@@ -49,6 +49,7 @@ MODULES = (
     "checker",
     "checks",
     "checks_diffusion",
+    "checks_pipeline",
     "commands",
 )
 

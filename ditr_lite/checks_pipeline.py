@@ -1,0 +1,93 @@
+"""Checkers for the exercises on the whole pipeline: what a branch may see, and what several samples say together."""
+
+import numpy as np
+
+from .checker import Function, check
+
+
+def check_given(attempt: Function) -> bool:
+    """Check ``attempt(depth, region) -> (known, evidence)``, two (H, W) bool masks.
+
+    ``known`` are the readings that count as depth, valid and outside the region (S9, mask times depth). ``evidence``
+    are the readings inside it, which may be looked at and not believed.
+    """
+
+    def right(depth, region):
+        return (depth > 0) & ~region, (depth > 0) & region
+
+    rng = np.random.default_rng(6)
+    depth = rng.uniform(0.4, 0.9, (6, 8)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.3] = 0
+    region = np.zeros(depth.shape, dtype=bool)
+    region[1:4, 2:7] = True
+    mistakes = {
+        "the two masks are swapped: known comes first": lambda d, r: right(d, r)[::-1],
+        "readings inside the region count as known: the wrong depth of the glass leaks in": lambda d, r: (
+            d > 0,
+            (d > 0) & r,
+        ),
+        "missing pixels (0) count as known depth": lambda d, r: (~r, (d > 0) & r),
+        "missing pixels (0) count as evidence": lambda d, r: ((d > 0) & ~r, r),
+        "missing pixels (0) count as readings, in both masks": lambda d, r: (~r, r),
+        "evidence lies inside the region only": lambda d, r: ((d > 0) & ~r, d > 0),
+        "known needs both, valid *and* outside the region": lambda d, r: ((d > 0) | ~r, (d > 0) & r),
+        "valid means greater than 0: the comparison is the wrong way round": lambda d, r: ((d == 0) & ~r, (d == 0) & r),
+    }
+    return check("known and evidence", attempt, right, [(depth, region), (depth.T, region.T)], mistakes, rtol=0)
+
+
+def check_spread(attempt: Function) -> bool:
+    """Check ``attempt(depth, optical, geometric, region) -> (mean, std)``, both (H, W) metres, from S composed samples.
+
+    ``optical`` and ``geometric`` are (S, H, W). Each sample is composed; ``mean`` is the average of the results and
+    ``std`` their standard deviation with S - 1 in the denominator, 0 where depth was kept.
+    """
+
+    def composed(d, o, g, r):
+        return np.stack([np.where(r, a, np.where(d > 0, d, b)) for a, b in zip(o, g, strict=True)]).astype(np.float64)
+
+    def right(d, o, g, r):
+        drawn = composed(d, o, g, r)
+        kept = (d > 0) & ~r
+        return np.where(kept, d, drawn.mean(0)), np.where(kept, 0, drawn.std(0, ddof=1))
+
+    rng = np.random.default_rng(8)
+    depth = rng.uniform(0.4, 0.9, (6, 8)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.3] = 0
+    region = np.zeros(depth.shape, dtype=bool)
+    region[2:5, 2:6] = True
+    optical, geometric = rng.uniform(0.4, 0.9, (2, 4, 6, 8)).astype(
+        np.float32
+    )  # four: the mean of equal numbers is exact
+    mistakes = {
+        "mean and std are swapped: mean comes first": lambda d, o, g, r: right(d, o, g, r)[::-1],
+        "the spread of S samples divides by S - 1, not S: ddof=1": lambda d, o, g, r: (
+            right(d, o, g, r)[0],
+            composed(d, o, g, r).std(0),
+        ),
+        "that is the variance: take its root, so that it is in metres": lambda d, o, g, r: (
+            right(d, o, g, r)[0],
+            right(d, o, g, r)[1] ** 2,
+        ),
+        "the spread is in millimetres; metres are wanted": lambda d, o, g, r: (
+            right(d, o, g, r)[0],
+            1000 * right(d, o, g, r)[1],
+        ),
+        "kept readings have no spread: compose each sample first, then take the spread": lambda d, o, g, r: (
+            right(d, o, g, r)[0],
+            np.where(r, o.std(0, ddof=1), g.std(0, ddof=1)),
+        ),
+        "that is the first sample; average over all": lambda d, o, g, r: (
+            composed(d, o, g, r)[0],
+            right(d, o, g, r)[1],
+        ),
+        "the average runs over the image, not over the samples: axis 0": lambda d, o, g, r: (
+            composed(d, o, g, r).mean(),
+            composed(d, o, g, r).std(ddof=1),
+        ),
+        "the two branches are swapped": lambda d, o, g, r: right(d, g, o, r),
+        "the region is inverted": lambda d, o, g, r: right(d, o, g, ~r),
+        "valid readings outside the region are replaced; they must stay": lambda d, o, g, r: right(0 * d, o, g, r),
+    }
+
+    return check("mean and spread", attempt, right, [(depth, optical, geometric, region)], mistakes, rtol=1e-4)
