@@ -253,6 +253,17 @@ def test_samplers_reproduce_a_mixture(steps, eta, prediction):
     assert (x < 0).double().mean().item() == pytest.approx(0.3, abs=0.02)
 
 
+def test_all_steps_with_eta_1_are_ddpms_chain():
+    short = make_schedule(ScheduleConfig(name="linear", timesteps=6, beta_start=0.05, beta_end=0.7))
+    start_at, g = start(32), generator(8)
+    x = start_at
+    for t in reversed(range(6)):
+        x = df.ddpm_step(x, torch.full((32,), t), 0.5 * x, short, g)
+    drawn = df.sample(lambda x, t: 0.5 * x, (32,), short, 6, eta=1.0, generator=generator(8), x_T=start_at)
+    assert torch.allclose(drawn, x, atol=1e-12)
+    assert not torch.allclose(drawn, df.sample(lambda x, t: 0.5 * x, (32,), short, 6, x_T=start_at), atol=0.1)
+
+
 def test_one_step_returns_the_posterior_mean_not_a_sample():
     x = df.sample(mixture_denoiser, (1, 1000), SCHEDULE, 1, x_T=start(1, 1000))
     assert x.mean().item() == pytest.approx(0.26, abs=0.01) and x.std() < 0.05  # erratum 20: good RMSE, no spread
