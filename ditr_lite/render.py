@@ -11,6 +11,7 @@ from ditr_lite.textures import environment, texture
 
 _CV_TO_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])  # our cameras: x right, y down; Mitsuba's: x left, y up
 _SEGMENTS = 64  # of a full turn
+_BLOCK = 32  # pixels a side that share a stream of random numbers; Mitsuba would choose by the number of threads
 
 
 def mitsuba() -> Any:
@@ -40,12 +41,6 @@ def load(scene: Scene, projector_pose: np.ndarray | None = None, rng: np.random.
     mi = mitsuba()
     infrared = projector_pose is not None
     parts: dict[str, Any] = {"type": "scene"}
-    planes = [(scene.table, _plane((0, 0.15, 0), (1.1, 0.75), 0.0, upright=False))]
-    planes.append(({**scene.table, "texture": "plain"}, _plane((0, 0, -0.75), (4, 4), 0.0, upright=False)))  # the floor
-    planes += [(w, _plane((0, w["y"], 0), (3, 1.5), w["turn"], upright=True)) for w in scene.walls]
-    for i, (look, pose) in enumerate(planes):
-        bsdf = _opaque(mi, look, infrared)
-        parts[f"plane_{i}"] = {"type": "rectangle", "to_world": mi.ScalarTransform4f(pose), "bsdf": bsdf}
     for i, thing in enumerate(scene.things):
         parts[f"thing_{i + 1}"] = _mesh(mi, f"thing_{i + 1}", thing, infrared)
     if infrared:
@@ -57,11 +52,17 @@ def load(scene: Scene, projector_pose: np.ndarray | None = None, rng: np.random.
         parts["ambient"] = {"type": "constant", "radiance": float(np.exp(rng.uniform(np.log(0.01), np.log(0.25))))}
     else:
         parts["ambient"] = {"type": "envmap", "bitmap": mi.Bitmap(environment(scene.seed, scene.ambient))}
-        for i, light in enumerate(scene.lights):
+        for i, light in reversed(list(enumerate(scene.lights))):
             pose = mi.ScalarTransform4f().look_at(list(light["at"]), [0, 0, 0], [0, 1, 0.1]).scale(light["size"])
             emitter = {"type": "area", "radiance": {"type": "rgb", "value": light["power"].tolist()}}
             parts[f"light_{i}"] = {"type": "rectangle", "to_world": pose, "emitter": emitter}
-    return mi.load_dict(parts)
+    planes = [(scene.table, _plane((0, 0.15, 0), (1.1, 0.75), 0.0, upright=False))]
+    planes.append(({**scene.table, "texture": "plain"}, _plane((0, 0, -0.75), (4, 4), 0.0, upright=False)))  # the floor
+    planes += [(w, _plane((0, w["y"], 0), (3, 1.5), w["turn"], upright=True)) for w in scene.walls]
+    for i, (look, pose) in reversed(list(enumerate(planes))):
+        bsdf = _opaque(mi, look, infrared)
+        parts[f"plane_{i}"] = {"type": "rectangle", "to_world": mi.ScalarTransform4f(pose), "bsdf": bsdf}
+    return mi.load_dict(parts, parallel=False, optimize=False)  # else the order of the lamps is left to chance
 
 
 def _plane(centre, half, turn: float, upright: bool) -> np.ndarray:
@@ -117,7 +118,7 @@ def render(loaded: Any, camera: Camera, pose: np.ndarray, samples: int, seed: in
     ``volpath`` rather than ``path``: its shadow rays pass straight through thin glass, so the dot pattern does too.
     """
     mi = mitsuba()
-    integrator = mi.load_dict({"type": "volpath", "max_depth": 10, "rr_depth": 3})
+    integrator = mi.load_dict({"type": "volpath", "max_depth": 10, "rr_depth": 3, "block_size": _BLOCK})
     return np.array(mi.render(loaded, sensor=_sensor(camera, pose, samples), integrator=integrator, seed=seed))[..., :3]
 
 
@@ -129,7 +130,7 @@ def truth(loaded: Any, camera: Camera, pose: np.ndarray, seed: int) -> tuple[np.
         0 for table, walls and floor, otherwise the position in ``scene.things`` plus 1.
     """
     mi = mitsuba()
-    aovs = {"type": "aov", "aovs": "p:position,n:geo_normal,i:shape_index"}
+    aovs = {"type": "aov", "aovs": "p:position,n:geo_normal,i:shape_index", "block_size": _BLOCK}
     image = np.array(
         mi.render(loaded, sensor=_sensor(camera, pose, 1), integrator=mi.load_dict(aovs), seed=seed), dtype=np.float64
     )
