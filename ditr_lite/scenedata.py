@@ -1,5 +1,6 @@
 """Rendered scenes as arrays in memory, and the batches that training draws from them."""
 
+import hashlib
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,20 +75,27 @@ def load_scenes(
 
 
 def _guides(paths: list[Path], boundary: str, store: Path) -> np.ndarray:
+    keys = {p: _content(p) for p in paths}
     known = {}
     if store.is_file():
         with np.load(store) as saved:
             known = {name: bits for name, bits in zip(saved["names"], saved["bits"], strict=True)}
-    missing = [p for p in paths if p.name not in known]
+    missing = [p for p in paths if keys[p] not in known]
     if missing:
         with ProcessPoolExecutor(2) as pool:
             jobs = pool.map(_guide, [(p, boundary) for p in missing], chunksize=8)
             for path, bits in zip(missing, tqdm(jobs, total=len(missing), desc="boundary maps"), strict=True):
-                known[path.name] = bits
+                known[keys[path]] = bits
         with written_whole(store) as part, open(part, "wb") as file:
             np.savez_compressed(file, names=np.array(list(known)), bits=np.stack(list(known.values())))
     shape = read_sample(paths[0]).depth.shape
-    return np.stack([np.unpackbits(known[p.name]).reshape(2, *shape) for p in paths])
+    return np.stack([np.unpackbits(known[keys[p]]).reshape(2, *shape) for p in paths])
+
+
+def _content(path: Path) -> str:
+    """Return a key of what the maps are computed from, so that a scene rendered anew is not given its old maps."""
+    digest = hashlib.sha1((path / "rgb.jpg").read_bytes() + (path / "depth.png").read_bytes())
+    return f"{path.name}:{digest.hexdigest()}"
 
 
 def _guide(job: tuple[Path, str]) -> np.ndarray:
