@@ -25,11 +25,11 @@ CLASS_WEIGHTS = (0.4, 1.0, 1.0)  # background, transparent, reflective
 StepLoss = Callable[[int], dict[str, Tensor]]
 
 RECIPES = {
-    "autoencoder": Recipe(steps=4000, batch=16, lr=2e-3),
-    "region": Recipe(steps=2000, batch=8, lr=2e-3),
-    "optical": Recipe(steps=2500, batch=8, lr=1e-3),
-    "geometric": Recipe(steps=2000, batch=8, lr=1e-3),
-    "detail": Recipe(steps=1500, batch=8, lr=2e-3),
+    "autoencoder": Recipe(steps=3000, batch=16, lr=2e-3),
+    "region": Recipe(steps=1700, batch=8, lr=2e-3),
+    "optical": Recipe(steps=1700, batch=8, lr=1e-3),
+    "geometric": Recipe(steps=800, batch=8, lr=1e-3),
+    "detail": Recipe(steps=500, batch=8, lr=2e-3),
 }
 
 
