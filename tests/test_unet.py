@@ -11,6 +11,7 @@ from ditr_lite.unet import (
     CrossAttentionLatentQuery,
     DenoisingUNet,
     FeatureExtractor,
+    Level,
     count_flops,
     grid_code,
     sinusoid,
@@ -143,6 +144,18 @@ def test_query_order_changes_the_result():
     other = DenoisingUNet(replace(net.config, query="latent"), 4, 4)
     other.load_state_dict(net.state_dict())
     assert not torch.allclose(run(net, cond, inputs), run(other, cond, inputs), atol=1e-4)
+
+
+@pytest.mark.parametrize("query", ["feature", "latent"])
+def test_attention_adds_to_what_the_convolutions_found(query):
+    torch.manual_seed(0)
+    level = Level(2, 16, replace(TINY, query=query))
+    x, time, feature = torch.randn(2, 16, 4, 6), torch.randn(2, 4 * TINY.width), torch.randn(2, 32, 4, 6)
+    assert not torch.allclose(level(x, time, feature), level.block(x, time), atol=1e-3)
+    for attention in (level.self_attention, level.cross_attention):
+        torch.nn.init.zeros_(attention.out.weight)
+        torch.nn.init.zeros_(attention.out.bias)
+    assert torch.equal(level(x, time, feature), level.block(x, time))
 
 
 def test_attention_starts_out_looking_at_its_own_place():
