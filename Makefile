@@ -13,7 +13,7 @@ export OMP_NUM_THREADS ?= 2
 unexport MPLBACKEND # notebooks draw inline, everything else finds out that there is no display
 
 .DEFAULT_GOAL := help
-.PHONY: help lab demo test lint notebooks students book samples train bench clean
+.PHONY: help lab demo test mutants lint notebooks students book samples train bench clean
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -34,6 +34,9 @@ demo: $(STAMP) ## run the whole pipeline notebook, then print the score table
 
 test: lint ## lint, unit tests, every notebook cell by cell
 	TQDM_DISABLE=1 $(PY) -m pytest $(NBVAL)
+
+mutants: $(STAMP) ## plant a mistake in every formula, one at a time: a test must notice (many minutes)
+	$(PY) tests/mutants.py $(ARGS)
 
 lint: $(STAMP) ## ruff's rules and formatter, notebooks included
 	$(PY) -m ruff check .

@@ -1,0 +1,363 @@
+"""Break every formula on purpose and see a test fail: ``python tests/mutants.py`` (minutes), ``make mutants``.
+
+A test that cannot fail protects nothing. Each mutant changes one sign, root, index or factor in a temporary copy of the
+package, on which the fast tests of that formula then run until the first one fails. A mutant that no test notices has
+*survived*: a test is missing. The list is checked against the code by ``tests/test_mutants.py`` in an instant.
+
+    python tests/mutants.py [--only WORD] [--jobs N]
+"""
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+class Mutant(NamedTuple):
+    """One planted mistake: ``old`` becomes ``new`` in ``ditr_lite/<file>.py``; ``formula`` groups the table."""
+
+    formula: str
+    mistake: str
+    file: str
+    old: str
+    new: str
+
+    @property
+    def tests(self) -> str:
+        """The test file that must notice."""
+        return f"tests/test_{self.file}.py"
+
+
+def family(formula: str, file: str, *rows: tuple[str, str, str]) -> list[Mutant]:
+    """Return the mutants of one formula from rows (mistake, old, new)."""
+    return [Mutant(formula, mistake, file, old, new) for mistake, old, new in rows]
+
+
+SCHEDULE = [
+    *family(
+        "schedule",
+        "schedule",
+        ("linear: ends swapped", "torch.linspace(beta_start, beta_end,", "torch.linspace(beta_end, beta_start,"),
+        ("scaled linear: not squared", "timesteps, dtype=torch.float64) ** 2", "timesteps, dtype=torch.float64)"),
+        ("scaled linear: root of the start dropped", "linspace(beta_start**0.5,", "linspace(beta_start,"),
+        ("cosine: not squared", "/ (1 + s) * math.pi / 2) ** 2", "/ (1 + s) * math.pi / 2)"),
+        ("cosine: offset dropped", "(u + s) / (1 + s)", "u"),
+        ("cosine: offset subtracted", "(u + s) / (1 + s)", "(u - s) / (1 + s)"),
+        ("cosine: half the angle", "* math.pi / 2) ** 2", "* math.pi / 4) ** 2"),
+        ("cosine: last step left unbounded", "clamp(max=MAX_BETA)", "clamp(max=1 - 1e-12)"),
+        ("alpha = 1 + beta", "self.alphas = 1 - self.betas", "self.alphas = 1 + self.betas"),
+        ("alpha-bar: sum for product", "self.alphas.cumprod(0)", "self.alphas.cumsum(0)"),
+        ("alpha-bar: of beta", "self.alphas.cumprod(0)", "self.betas.cumprod(0)"),
+        ("alpha-bar: off by one in t", "clean_first[t.cpu() + 1]", "clean_first[t.cpu()]"),
+        ("alpha-bar: clean end is 0", "torch.cat([torch.ones(1,", "torch.cat([torch.zeros(1,"),
+        ("SNR: noise not 1 - alpha-bar", "self.alphas_cumprod / (1 - self.alphas_cumprod)", "self.alphas_cumprod"),
+        ("SNR: rooted", "(1 - self.alphas_cumprod)\n", "(1 - self.alphas_cumprod) ** 0.5\n"),
+        ("signal: root dropped", "return alpha_bar.sqrt().to(like)", "return alpha_bar.to(like)"),
+        ("noise: root dropped", ", (1 - alpha_bar).sqrt().to(like)", ", (1 - alpha_bar).to(like)"),
+        ("noise: 1 - root", ", (1 - alpha_bar).sqrt().to(like)", ", (1 - alpha_bar.sqrt()).to(like)"),
+        ("noise: rounded before the root", "(1 - alpha_bar).sqrt().to(like)", "(1 - alpha_bar.to(like)).sqrt()"),
+        ("weight: cap from below", "snr.clamp(max=gamma)", "snr.clamp(min=gamma)"),
+        ("weight: eps not divided by SNR", '"eps": on_x0 / snr', '"eps": on_x0'),
+        ("weight: v divided by SNR alone", "on_x0 / (snr + 1)", "on_x0 / snr"),
+    ),
+]
+
+DIFFUSION = [
+    *family(
+        "forward (Eq. 7)",
+        "diffusion",
+        ("as printed: N(0, I) at every t", "return signal * x0 + noise * eps", "return eps"),
+        ("sign", "return signal * x0 + noise * eps", "return signal * x0 - noise * eps"),
+        ("signal dropped", "return signal * x0 + noise * eps", "return x0 + noise * eps"),
+        ("noise level dropped", "return signal * x0 + noise * eps", "return signal * x0 + eps"),
+        ("levels swapped", "return signal * x0 + noise * eps", "return noise * x0 + signal * eps"),
+        ("signal not rooted", "return signal * x0 + noise * eps", "return signal**2 * x0 + noise * eps"),
+    ),
+    *family(
+        "conversions (Eq. 9)",
+        "diffusion",
+        ("eps as printed: no division", "return (x_t - signal * x0) / noise", "return x_t - signal * x0"),
+        ("eps: sign", "return (x_t - signal * x0) / noise", "return (x_t + signal * x0) / noise"),
+        ("eps: divided by the variance", "return (x_t - signal * x0) / noise", "return (x_t - signal * x0) / noise**2"),
+        ("x0: no division", "return (x_t - noise * eps) / signal", "return x_t - noise * eps"),
+        ("x0: sign", "return (x_t - noise * eps) / signal", "return (x_t + noise * eps) / signal"),
+        ("x0: noise level dropped", "return (x_t - noise * eps) / signal", "return (x_t - eps) / signal"),
+        ("v: sign", "    return signal * eps - noise * x0", "    return noise * x0 - signal * eps"),
+        ("v: levels swapped", "    return signal * eps - noise * x0", "    return noise * eps - signal * x0"),
+        ("x0 of v: sign", "return signal * x_t - noise * v", "return signal * x_t + noise * v"),
+        ("x0 of v: levels swapped", "return signal * x_t - noise * v", "return noise * x_t - signal * v"),
+        ("eps of v: sign", "return noise * x_t + signal * v", "return noise * x_t - signal * v"),
+        ("eps of v: noise level dropped", "return noise * x_t + signal * v", "return x_t + signal * v"),
+        ("v read as eps", '"v": x0_from_v, "x0": lambda', '"v": x0_from_eps, "x0": lambda'),
+    ),
+    *family(
+        "loss (Eq. 8)",
+        "diffusion",
+        ("not squared", "((target - model_output) ** 2)", "((target - model_output).abs())"),
+        ("target of v: sign", '"v": signal * eps - noise * x0}', '"v": signal * eps + noise * x0}'),
+        ("target of eps is x0", 'target = {"eps": eps,', 'target = {"eps": x0,'),
+        ("mask not divided by", "/ m.sum(1).clamp(min=1e-8)", "/ m.shape[1]"),
+        ("mask not applied", "(m * squared).sum(1)", "squared.sum(1)"),
+        ("weight at the wrong step", "weight[t.to(weight.device)]", "weight[t.to(weight.device) - 1]"),
+        ("weight dropped", "return (w.to(each) * each).mean()", "return each.mean()"),
+        ("batch summed", "return each.mean()", "return each.sum()"),
+    ),
+    *family(
+        "posterior mean",
+        "diffusion",
+        ("t - 1 is t", "schedule.alpha_bar(t - 1, x_t.ndim)", "schedule.alpha_bar(t, x_t.ndim)"),
+        ("root of alpha-bar dropped", "on_x0 = abar_prev.sqrt() * beta", "on_x0 = abar_prev * beta"),
+        ("alpha-bar of t, not t - 1", "on_x0 = abar_prev.sqrt() * beta", "on_x0 = abar.sqrt() * beta"),
+        ("beta dropped", "on_x0 = abar_prev.sqrt() * beta / (1 - abar)", "on_x0 = abar_prev.sqrt() / (1 - abar)"),
+        ("root of alpha dropped", "on_x_t = (1 - beta).sqrt()", "on_x_t = (1 - beta)"),
+        ("1 - alpha-bar of t", "(1 - beta).sqrt() * (1 - abar_prev)", "(1 - beta).sqrt() * (1 - abar)"),
+        ("sign", "on_x0.to(x_t) * x0 + on_x_t", "on_x0.to(x_t) * x0 - on_x_t"),
+        ("beta is 1 - alpha-bar", "beta = 1 - abar / abar_prev", "beta = 1 - abar"),
+    ),
+    *family(
+        "posterior variance",
+        "diffusion",
+        ("plain beta", "variance = beta * (1 - abar_prev) / (1 - abar)", "variance = beta + 0 * abar"),
+        ("beta dropped", "variance = beta * (1 - abar_prev)", "variance = (1 - abar_prev)"),
+        ("upside down", "variance = beta * (1 - abar_prev) / (1 - abar)", "variance = beta * (1 - abar)"),
+    ),
+    *family(
+        "DDPM step (I1)",
+        "diffusion",
+        ("variance for deviation", "mean + variance.sqrt() * _randn", "mean + variance * _randn"),
+        ("no noise", "return mean + variance.sqrt() * _randn(x_t, generator)", "return mean"),
+        ("noise at t = 0", "variance.sqrt() * _randn", "variance.clamp(min=1e-4).sqrt() * _randn"),
+        ("x0 and x_t swapped", "posterior_mean_variance(pred_x0, x_t, t", "posterior_mean_variance(x_t, pred_x0, t"),
+    ),
+    *family(
+        "DDIM step",
+        "diffusion",
+        ("sigma not rooted", "* (1 - abar / abar_prev)).sqrt()", "* (1 - abar / abar_prev))"),
+        ("sigma: eta dropped", "sigma = eta * ((1 - abar_prev)", "sigma = 1.0 * ((1 - abar_prev)"),
+        ("sigma: upside down", "((1 - abar_prev) / (1 - abar) *", "((1 - abar) / (1 - abar_prev).clamp(min=1e-9) *"),
+        ("sigma: ratio upside down", "(1 - abar / abar_prev)).sqrt()", "(abar_prev / abar - 1)).sqrt()"),
+        ("direction: root dropped", ".clamp(min=0).sqrt()  # clamp", ".clamp(min=0)  # clamp"),
+        ("direction: sigma not taken off", "(1 - abar_prev - sigma**2)", "(1 - abar_prev)"),
+        ("direction: sigma not squared", "(1 - abar_prev - sigma**2)", "(1 - abar_prev - sigma)"),
+        ("direction: sign", "* pred_x0 + toward_x_t", "* pred_x0 - toward_x_t"),
+        ("signal: root dropped", "x_prev = abar_prev.sqrt()", "x_prev = abar_prev"),
+        ("signal of t", "x_prev = abar_prev.sqrt()", "x_prev = abar.sqrt()"),
+        ("fresh noise dropped", "x_prev + sigma.to(x_t) * _randn(x_t, generator) if", "x_prev if"),
+        ("goes to t, not t_prev", "schedule.alpha_bar(t_prev, x_t.ndim)", "schedule.alpha_bar(t, x_t.ndim)"),
+        ("steps: leading, not trailing", "for k in range(steps, 0, -1)]", "for k in range(steps - 1, -1, -1)]"),
+        ("steps: off by one", "* k / steps) - 1 for", "* k / steps) - 2 for"),
+        ("last jump stops at t = 0", "zip(ts, [*ts[1:], -1], strict=True)", "zip(ts, [*ts[1:], 0], strict=True)"),
+        ("eta not handed on", "schedule, eta, generator)\n        if", "schedule, 0.0, generator)\n        if"),
+    ),
+]
+
+AUTOENCODER = [
+    *family(
+        "quantiser",
+        "autoencoder",
+        ("distance: -2 is -1", "alpha=-2).min", "alpha=-1).min"),
+        ("distance: sign", "alpha=-2).min", "alpha=2).min"),
+        ("farthest code", "alpha=-2).min(dim=1)", "alpha=-2).max(dim=1)"),
+        ("code not squared", "self.codebook.square().sum(dim=1)", "self.codebook.sum(dim=1)"),
+        (
+            "average: decay for 1 - decay",
+            "self.count.lerp_(hits.to(self.count.dtype), 1 - ",
+            "self.count.lerp_(hits.to(self.count.dtype), ",
+        ),
+        ("average: total not divided", "self.total[chosen] / self.count[chosen, None]", "self.total[chosen]"),
+        ("average: idle codes move too", "chosen = hits > 0", "chosen = hits >= 0"),
+        ("restart: one step late", "self.idle >= self.restart_after", "self.idle > self.restart_after"),
+        ("usage: not per code", ".sum()) / len(p))", ".sum()))"),
+        (
+            "scale: wrong way out",
+            "z = latents / self.latent_scale + self.latent_shift\n        return",
+            "z = latents * self.latent_scale + self.latent_shift\n        return",
+        ),
+        ("scale: shift added", "(self.encoder(x) - self.latent_shift)", "(self.encoder(x) + self.latent_shift)"),
+        ("scale: variance for deviation", "1 / z.std(dim=(0, 2, 3)", "1 / z.var(dim=(0, 2, 3)"),
+    ),
+    *family(
+        "straight-through",
+        "autoencoder",
+        ("no gradient", "return z + (codes - z).detach(), loss", "return codes, loss"),
+        ("detach dropped", "return z + (codes - z).detach(), loss", "return z + (codes - z), loss"),
+        ("sign", "return z + (codes - z).detach(), loss", "return z - (codes - z).detach(), loss"),
+        ("gradient doubled", "return z + (codes - z).detach(), loss", "return 2 * z + (codes - 2 * z).detach(), loss"),
+    ),
+    *family(
+        "commitment",
+        "autoencoder",
+        ("beta dropped", "loss = self.beta * F.mse_loss(z, codes)", "loss = F.mse_loss(z, codes)"),
+        (
+            "beta on the codebook's term",
+            "self.beta * F.mse_loss(z, codes)",
+            "self.beta * F.mse_loss(z.detach(), codes)",
+        ),
+        ("not squared", "self.beta * F.mse_loss(z, codes)", "self.beta * F.l1_loss(z, codes)"),
+        ("sign", "loss = self.beta * F.mse_loss", "loss = -self.beta * F.mse_loss"),
+    ),
+]
+
+ATTENTION = [
+    *family(
+        "attention",
+        "unet",
+        ("root of d dropped", "(q + place, k + place, v)", "(q + place, k + place, v, scale=1 / q.shape[-1])"),
+        ("no scale", "(q + place, k + place, v)", "(q + place, k + place, v, scale=1.0)"),
+        ("key and value swapped", "(q + place, k + place, v)", "(q + place, v + place, k)"),
+        ("place not on the key", "(q + place, k + place, v)", "(q + place, k, v)"),
+        ("place in the value", "(q + place, k + place, v)", "(q + place, k + place, v + place)"),
+        ("heads left in front", "mixed.transpose(1, 2).flatten(2)", "mixed.reshape(mixed.shape[0], h * w, -1)"),
+        (
+            "place: rows and columns swapped",
+            "rows.repeat_interleave(width, 0), columns.repeat(height, 1)",
+            "rows.repeat(width, 1), columns.repeat_interleave(height, 0)",
+        ),
+        ("cross: the latent asks itself", "query=feature, source=latent", "query=latent, source=latent"),
+        ("cross: query and source swapped", "query=feature, source=latent", "query=latent, source=feature"),
+        ("cross: both kinds alike", '"latent": CrossAttentionLatentQuery}', '"latent": CrossAttentionFeatureQuery}'),
+        ("self: input not added", "x = x + self.self_attention(x, x)", "x = self.self_attention(x, x)"),
+        ("cross: input not added", "x = x + self.cross_attention(x, feature)", "x = self.cross_attention(x, feature)"),
+        (
+            "time: sines only",
+            "torch.cat([angle.sin(), angle.cos()], dim=1)",
+            "torch.cat([angle.sin(), angle.sin()], dim=1)",
+        ),
+        ("time: one frequency", "torch.exp(-math.log(longest) * torch", "torch.exp(0 * torch"),
+    ),
+]
+
+METRICS = [
+    *family(
+        "metrics (Eq. 4-6, I2)",
+        "metrics",
+        ("RMSE: root dropped", "np.sqrt(np.mean((p - g) ** 2))", "np.mean((p - g) ** 2)"),
+        ("RMSE: not squared", "np.sqrt(np.mean((p - g) ** 2))", "np.sqrt(np.mean(np.abs(p - g)))"),
+        ("RMSE: sign", "np.mean((p - g) ** 2)", "np.mean((p + g) ** 2)"),
+        ("RMSE: sum for mean", "np.sqrt(np.mean((p - g) ** 2))", "np.sqrt(np.sum((p - g) ** 2))"),
+        ("MAE: signed", "float(np.mean(np.abs(p - g)))", "float(np.mean(p - g))"),
+        ("REL: by the prediction", "np.mean(np.abs(p - g) / g)", "np.mean(np.abs(p - g) / p)"),
+        ("delta: not strict", "np.maximum(p / g, g / p) < threshold", "np.maximum(p / g, g / p) <= threshold"),
+        ("delta: the smaller ratio", "np.maximum(p / g, g / p)", "np.minimum(p / g, g / p)"),
+        ("delta: as worded in the paper", "np.maximum(p / g, g / p) < threshold", "np.abs(p - g) / g < threshold - 1"),
+        ("delta: not per cent", "100.0 * np.mean", "1.0 * np.mean"),
+        ("CRPS: unfair", "max(size * (size - 1), 1)", "max(size * size, 1)"),
+        ("CRPS: sign", "np.mean(error - spread)", "np.mean(error + spread)"),
+        ("CRPS: rank weights off by one", "np.arange(size) - (size - 1)", "np.arange(size) - size"),
+        ("pooled RMSE: of roots", 'columns["rmse"] ** 2 / n.sum()', 'columns["rmse"] / n.sum()'),
+        ("pooled: not weighed", "float(n @ values / n.sum())", "float(values.mean())"),
+        ("unknown truth scored", "chosen = gt > 0 if mask", "chosen = gt >= 0 if mask"),
+        ("sets: geometric where measured", "~region & (raw == 0)", "~region & (raw > 0)"),
+        ("sets: geometric inside", "known & ~region & (raw == 0)", "known & region & (raw == 0)"),
+        ("sets: outside is inside", '"outside": known & ~region}', '"outside": known & region}'),
+        ("interval: 90 per cent", "[2.5, 97.5]", "[5.0, 95.0]"),
+        ("IoU: union for intersection", "_ratio((pred & true).sum(), (pred", "_ratio((pred | true).sum(), (pred"),
+        ("miss rate: false alarms", "_ratio((true & ~pred).sum()", "_ratio((pred & ~true).sum()"),
+        ("area ratio: upside down", "_ratio(pred.sum(), true.sum())", "_ratio(true.sum(), pred.sum())"),
+    ),
+]
+
+PARTITION = [
+    *family(
+        "partition (Eq. 1-2)",
+        "loss_types",
+        ("rgb: parts swapped", "rgb_op=np.where(inside, rgb, zero)", "rgb_op=np.where(inside, zero, rgb)"),
+        ("rgb: not disjoint", "rgb_geo=np.where(inside, zero, rgb)", "rgb_geo=rgb"),
+        ("depth: not disjoint", "depth_op=np.where(region, depth, np.float32(0))", "depth_op=depth"),
+        ("depth: parts swapped", "np.where(region, np.float32(0), depth)", "np.where(region, depth, np.float32(0))"),
+        ("union: inverted", "np.where(self.region, self.depth_op", "np.where(~self.region, self.depth_op"),
+    ),
+    *family(
+        "labels and parallax",
+        "loss_types",
+        ("wrong: either threshold", "np.maximum(WRONG_ABS_M, WRONG_REL", "np.minimum(WRONG_ABS_M, WRONG_REL"),
+        ("wrong: signed", "wrong = np.abs(depth - depth_gt)", "wrong = (depth_gt - depth)"),
+        ("wrong: 2 mm", "WRONG_ABS_M = 0.010", "WRONG_ABS_M = 0.002"),
+        ("missing counts as wrong", "np.where(depth == 0, 2, wrong)", "np.where(depth == 0, 1, wrong)"),
+        ("unknown truth labelled", "codes[depth_gt == 0]", "codes[depth_gt < 0]"),
+        ("shadow: sign", "(1 / z_near - 1 / z_far)", "(1 / z_far - 1 / z_near)"),
+        ("shadow: focal length dropped", "return fx * baseline_m *", "return baseline_m *"),
+        ("reprojection: farthest wins", "np.minimum.at(nearest", "np.maximum.at(nearest"),
+    ),
+]
+
+MUTANTS: list[Mutant] = [*SCHEDULE, *DIFFUSION, *AUTOENCODER, *ATTENTION, *METRICS, *PARTITION]
+
+
+def mutate(source: str, mutant: Mutant) -> str:
+    """Return ``source`` with the mistake in it.
+
+    Raises:
+        ValueError: unless the passage occurs exactly once and changes.
+    """
+    found = source.count(mutant.old)
+    if found != 1 or mutant.old == mutant.new:
+        raise ValueError(f"{mutant.file}.py: {mutant.old!r} occurs {found} times, expected once; update {__file__}")
+    return source.replace(mutant.old, mutant.new)
+
+
+def run_tests(mutant: Mutant | None, tests: Sequence[str]) -> tuple[int, str, float]:
+    """Run test files on a copy of the package with ``mutant`` in it (None: as it is).
+
+    Returns:
+        pytest's exit status (0: all passed, 1: one failed), the failed test, seconds.
+    """
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder)
+        shutil.copytree(ROOT / "ditr_lite", copy / "ditr_lite", ignore=shutil.ignore_patterns("weights", "__pycache__"))
+        (copy / "tests").mkdir()
+        for test in tests:
+            shutil.copy(ROOT / test, copy / test)
+        if mutant is not None:
+            target = copy / "ditr_lite" / f"{mutant.file}.py"
+            target.write_text(mutate(target.read_text(encoding="utf-8"), mutant), encoding="utf-8")
+        # the copy comes first on the path, before an installed package; comparisons with libraries are left out
+        plain = ["-p", "no:cacheprovider", "-p", "no:nbval", "--rootdir", folder, "-k", "not diffusers"]
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=line", *plain, *tests]
+        environment = {**os.environ, "PYTHONPATH": folder, "PYTHONDONTWRITEBYTECODE": "1"}
+        result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    failed = re.search(r"^(?:FAILED|ERROR) \S+?::(\S+)", result.stdout, flags=re.MULTILINE)
+    reason = failed[1] if failed else result.stdout.strip().splitlines()[-1:] or result.stderr[-200:]
+    return result.returncode, str(reason), time.perf_counter() - start
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; return 0 when every mutant was killed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", default="", help="run only mutants whose formula, file or mistake contains this")
+    parser.add_argument("--jobs", type=int, default=1, help="how many to run at a time (default 1)")
+    options = parser.parse_args(arguments)
+    chosen = [m for m in MUTANTS if options.only in f"{m.formula} {m.file} {m.mistake}"]
+    for test in sorted({m.tests for m in chosen}):
+        status, reason, _ = run_tests(None, [test])
+        if status:
+            print(f"{test} fails without any mutant ({reason}): repair that first", file=sys.stderr)
+            return 2
+    survivors, formula = [], ""
+    with ThreadPoolExecutor(options.jobs) as pool:
+        results = pool.map(lambda m: run_tests(m, [m.tests]), chosen)
+        for mutant, (status, reason, seconds) in zip(chosen, results, strict=True):
+            if mutant.formula != formula:
+                formula = mutant.formula
+                print(f"\n{formula}  (ditr_lite/{mutant.file}.py)")
+            verdict = "killed by " + reason if status == 1 else f"SURVIVED (pytest status {status})"
+            survivors += [mutant] * (status != 1)
+            print(f"  {mutant.mistake:36s} {seconds:5.1f} s  {verdict}", flush=True)
+    killed = len(chosen) - len(survivors)
+    print(f"\n{killed} of {len(chosen)} mutants killed ({100 * killed / max(len(chosen), 1):.0f} %)")
+    return 1 if survivors or not chosen else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,44 @@
+"""The list of mutants fits the code; running it takes minutes and is ``make mutants``."""
+
+import ast
+from collections import Counter
+
+import pytest
+from mutants import MUTANTS, ROOT, Mutant, mutate
+
+FORMULAS = {  # each has its own family of mistakes
+    "schedule",
+    "forward (Eq. 7)",
+    "conversions (Eq. 9)",
+    "loss (Eq. 8)",
+    "posterior mean",
+    "posterior variance",
+    "DDPM step (I1)",
+    "DDIM step",
+    "quantiser",
+    "straight-through",
+    "commitment",
+    "attention",
+    "metrics (Eq. 4-6, I2)",
+    "partition (Eq. 1-2)",
+    "labels and parallax",
+}
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda m: f"{m.formula}: {m.mistake}")
+def test_a_mutant_changes_exactly_one_passage_and_is_still_python(mutant):
+    source = (ROOT / "ditr_lite" / f"{mutant.file}.py").read_text(encoding="utf-8")
+    mutated = mutate(source, mutant)
+    assert ast.dump(ast.parse(mutated)) != ast.dump(ast.parse(source))  # code, not a comment
+    assert (ROOT / mutant.tests).is_file()
+
+
+def test_every_formula_is_covered_without_repetition():
+    assert {m.formula for m in MUTANTS} == FORMULAS
+    assert len(MUTANTS) >= 40 and max(Counter((m.file, m.old, m.new) for m in MUTANTS).values()) == 1
+
+
+@pytest.mark.parametrize("old, new", [("x", "y"), ("absent", "y"), ("z", "z")])
+def test_a_passage_that_does_not_fit_is_refused(old, new):
+    with pytest.raises(ValueError, match="expected once"):
+        mutate("x = x + z\n", Mutant("formula", "mistake", "file", old, new))
