@@ -1,7 +1,7 @@
 """Rendered scenes as arrays in memory, and the batches that training draws from them."""
 
 import hashlib
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,8 +82,8 @@ def _guides(paths: list[Path], boundary: str, store: Path) -> np.ndarray:
             known = {name: bits for name, bits in zip(saved["names"], saved["bits"], strict=True)}
     missing = [p for p in paths if keys[p] not in known]
     if missing:
-        with ProcessPoolExecutor(2) as pool:
-            jobs = pool.map(_guide, [(p, boundary) for p in missing], chunksize=8)
+        with ThreadPoolExecutor(2) as pool:  # no processes: forked after torch has run they would wait for ever
+            jobs = pool.map(_guide, [(p, boundary) for p in missing])
             for path, bits in zip(missing, tqdm(jobs, total=len(missing), desc="boundary maps"), strict=True):
                 known[keys[path]] = bits
         with written_whole(store) as part, open(part, "wb") as file:
@@ -99,7 +99,6 @@ def _content(path: Path) -> str:
 
 
 def _guide(job: tuple[Path, str]) -> np.ndarray:
-    cv2.setNumThreads(1)
     path, boundary = job
     sample = read_sample(path)
     m_rgb, _, m_da = boundary_maps(sample.rgb, sample.depth, get_backend(boundary))
