@@ -129,10 +129,12 @@ class Ditr:
         kept = np.zeros_like(depth) if adjust else depth
         drawn = np.stack([compose(kept, o, g, region) for o, g in zip(*parts, strict=True)])
         mean = compose(kept, parts[0].mean(0), parts[1].mean(0), region)
+        # float64, in which the mean of equal readings is that reading: where depth was kept the spread is exactly 0
+        std = drawn.std(0, ddof=int(samples > 1), dtype=np.float64)
         return Completion(
             depth=mean,
             region=region,
-            std=drawn.std(0, ddof=1) if samples > 1 else np.zeros_like(mean),
+            std=std.astype(np.float32),
             boundary_rgb=frame.back(maps[0]),
             boundary_depth=frame.back(maps[1]),
             boundary_da=frame.back(maps[2]),
