@@ -1,0 +1,65 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from ditr_lite import baselines
+from ditr_lite.completion import check_inputs, compose
+
+SHAPE = (5, 7)
+METRES = st.floats(0.0625, 8, width=32)
+RAW = arrays(np.float32, SHAPE, elements=st.just(0.0) | METRES)
+DENSE = arrays(np.float32, SHAPE, elements=METRES)
+REGION = arrays(bool, SHAPE)
+
+
+@settings(deadline=None)
+@given(RAW, DENSE, DENSE, REGION)
+def test_composition_follows_the_rule_pixel_by_pixel(depth, optical, geometric, region):
+    out = compose(depth, optical, geometric, region)
+    for place in np.ndindex(SHAPE):  # Sec. IV-A, one sentence after the other
+        if region[place]:
+            assert out[place] == optical[place]  # inside the mask, the depth values are re-estimated
+        elif depth[place] == 0:
+            assert out[place] == geometric[place]  # outside, the missing depth values are re-generated
+        else:
+            assert out[place].tobytes() == depth[place].tobytes()  # and the original depth values are kept
+    assert out.dtype == np.float32 and (out > 0).all()
+
+
+@settings(deadline=None)
+@given(RAW, DENSE, REGION)
+def test_with_equal_branches_it_is_the_composition_of_the_baselines(depth, filled, region):
+    assert np.array_equal(compose(depth, filled, filled, region), baselines.compose(filled, depth, region))
+
+
+RGB, DEPTH, MASK = np.zeros((4, 6, 3), np.uint8), np.ones((4, 6), np.float32), np.zeros((4, 6), bool)
+
+
+@pytest.mark.parametrize(
+    ("rgb", "depth", "region", "samples", "message"),
+    [
+        (RGB[..., 0], DEPTH, None, 1, r"rgb: expected \(H, W, 3\) uint8, got \(4, 6\)"),
+        (np.zeros((4, 6, 4), np.uint8), DEPTH, None, 1, "RGBA"),
+        (RGB / 255.0, DEPTH, None, 1, "got .* float64"),
+        (RGB, (DEPTH * 1000).astype(np.uint16), None, 1, "divide millimetres by 1000"),
+        (RGB, DEPTH[None], None, 1, r"depth: expected \(H, W\)"),
+        (RGB, DEPTH[:, :5], None, 1, "align depth to the RGB image"),
+        (RGB, DEPTH, MASK[:3], 1, r"region: expected \(4, 6\) bool"),
+        (RGB, DEPTH, MASK.astype(np.uint8), 1, "got .* uint8"),
+        (RGB, DEPTH, MASK, 0, "samples: expected at least 1"),
+        (RGB, 0 * DEPTH, None, 1, "holds no reading"),
+        (RGB, np.nan * DEPTH, None, 1, "holds no reading"),
+    ],
+)
+def test_bad_inputs_are_named(rgb, depth, region, samples, message):
+    with pytest.raises(ValueError, match=message):
+        check_inputs(rgb, depth, region, samples)
+
+
+def test_depth_is_cleaned_and_the_callers_array_left_alone():
+    depth = np.array([[1.5, np.nan, np.inf], [-1, 65.5, 0.3]])
+    rgb, clean = check_inputs(np.zeros((2, 3, 3), np.uint8), depth, None, 1)
+    assert clean.dtype == np.float32 and np.allclose(clean, [[1.5, 0, 0], [0, 0, 0.3]])
+    assert np.isnan(depth[0, 1])

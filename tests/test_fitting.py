@@ -1,0 +1,86 @@
+import pytest
+import torch
+
+import ditr_lite as dl
+from ditr_lite.config import override, preset
+from ditr_lite.data import SAMPLES, Sample, read_sample, save_sample
+from ditr_lite.fitting import PARTS, train
+from ditr_lite.store import load_part, read_card
+from ditr_lite.training import Recipe
+
+TINY = preset("tiny")
+RECIPE = Recipe(steps=2, batch=2, lr=1e-3, warmup=1)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Three validation scenes at half their size."""
+    folder = tmp_path_factory.mktemp("data")
+    for name in dl.list_samples("val")[:3]:
+        full = read_sample(SAMPLES / "val" / name)
+        maps = {k: getattr(full, k)[::2, ::2].copy() for k in ("rgb", "depth", "depth_gt", "material")}
+        save_sample(Sample(name, **maps), folder / name)
+    return folder
+
+
+def go(part, data, home, config=TINY, **settings):
+    return train(part, config, data, data, home / "weights", home / "work", RECIPE, **settings)
+
+
+@pytest.fixture(scope="module")
+def trained(data, tmp_path_factory):
+    """Every part after two steps."""
+    home = tmp_path_factory.mktemp("home")
+    return home, {part: go(part, data, home) for part in PARTS}
+
+
+def test_every_part_trains_and_the_card_says_how(trained):
+    home, notes = trained
+    card = read_card(home / "weights")
+    assert tuple(card["parts"]) == PARTS and card["config"]["name"] == "tiny"
+    for part, entry in card["parts"].items():
+        assert entry["steps"] == 2 and entry["scenes"] == 3 and entry["recipe"]["batch"] == 2
+        assert entry["first_scene"] == "val_00000" and entry["command"].startswith("python -m ditr_lite")
+        figures = entry["curve"][-1]
+        assert figures == notes[part]["curve"][-1] and figures["step"] == 2
+        assert all(0 <= v < 10 for k, v in figures.items() if k.startswith("val_"))
+        assert any(k.startswith("val_") for k in figures)
+
+
+def test_what_was_trained_completes_a_frame(trained, data):
+    home, _ = trained
+    sample = read_sample(data / "val_00000")
+    out = dl.Ditr.from_pretrained(path=home / "weights")(sample.rgb, sample.depth, steps=1, samples=1)
+    assert out.depth.shape == sample.depth.shape and (out.depth > 0).all()
+
+
+def test_latents_have_unit_spread_after_training(trained, data):
+    home, _ = trained
+    scale = load_part("autoencoder", home / "weights")["latent_scale"]
+    assert scale.numel() >= 1 and not torch.equal(scale, torch.ones_like(scale))
+
+
+def test_same_seed_trains_the_same_bytes(trained, data, tmp_path):
+    home, notes = trained
+    go("region", data, tmp_path)
+    files = [folder / "weights" / "region.safetensors" for folder in (home, tmp_path)]
+    assert files[0].read_bytes() == files[1].read_bytes()
+    go("region", data, tmp_path / "other", seed=1)
+    assert files[0].read_bytes() != (tmp_path / "other" / "weights" / "region.safetensors").read_bytes()
+
+
+def test_limit_takes_the_first_scenes(data, tmp_path):
+    notes = go("region", data, tmp_path, limit=2)
+    assert notes["scenes"] == 2 and notes["last_scene"] == "val_00001"
+
+
+def test_what_cannot_be_trained_is_refused(trained, data, tmp_path):
+    home, _ = trained
+    with pytest.raises(ValueError, match="unknown part 'unet'; choose one of autoencoder"):
+        go("unet", data, tmp_path)
+    with pytest.raises(ValueError, match="no scenes in"):
+        go("region", tmp_path / "nothing", tmp_path)
+    with pytest.raises(ValueError, match="no weights"):  # a branch needs the autoencoder first
+        go("optical", data, tmp_path)
+    with pytest.raises(ValueError, match="holds weights of another unet setting"):
+        go("optical", data, home, override(TINY, **{"unet.width": 16}))
