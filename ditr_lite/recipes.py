@@ -29,7 +29,7 @@ RECIPES = {
     "region": Recipe(steps=1700, batch=8, lr=2e-3),
     "optical": Recipe(steps=1700, batch=8, lr=1e-3),
     "geometric": Recipe(steps=800, batch=8, lr=1e-3),
-    "detail": Recipe(steps=500, batch=8, lr=2e-3),
+    "detail": Recipe(steps=1200, batch=8, lr=2e-3),
 }
 
 
