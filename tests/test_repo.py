@@ -186,7 +186,8 @@ def third_party_imports(source):
             roots |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             roots.add(node.module.split(".")[0])
-    return roots - sys.stdlib_module_names - {"ditr_lite"}
+    beside = {path.stem for path in (ROOT / "tests").glob("*.py")}  # what pytest puts on the path
+    return roots - sys.stdlib_module_names - beside - {"ditr_lite"}
 
 
 @per_file(PYTHON)
