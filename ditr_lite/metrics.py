@@ -1,19 +1,34 @@
-"""Scores: RMSE, MAE, REL, delta and CRPS, where they are taken, how they are averaged, and how sure one can be of them.
+"""Scores of one frame: RMSE, MAE, REL, delta and CRPS, and where they are taken; masks. ``summaries`` has the rest.
 
 Depth is in metres. Ground truth of 0 means unknown and is never scored. Shares are in per cent, REL is a plain ratio.
 The printed formulas (Paper: Sec. III, Eq. 4-6) divide by H x W; like the paper's experiments, and everybody else's,
 these divide by the number of pixels that have ground truth.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
 from ditr_lite.loss_types import check_depth, check_mask
+from ditr_lite.summaries import METRICS, SETS, Scores, average, bootstrap_mean, format_table, paired_bootstrap
 
-SETS = ("whole", "optical", "optical_valid", "geometric", "outside")
-METRICS = ("rmse", "mae", "rel", "d105", "d110", "d125")
-Scores = dict[str, float]  # one entry per METRICS, plus "n", the number of pixels
+__all__ = [
+    "METRICS",
+    "SETS",
+    "Scores",
+    "area_ratio",
+    "average",
+    "bootstrap_mean",
+    "crps",
+    "delta",
+    "evaluate",
+    "format_table",
+    "iou",
+    "mae",
+    "miss_rate",
+    "paired_bootstrap",
+    "pixel_sets",
+    "rel",
+    "rmse",
+]
 
 
 def rmse(pred: np.ndarray, gt: np.ndarray, mask: np.ndarray | None = None) -> float:
@@ -152,63 +167,6 @@ def evaluate(
     return {name: _score(pred, gt, mask) for name, mask in pixel_sets(gt, region, raw).items()}
 
 
-def average(results: Sequence[Mapping[str, Scores | None]]) -> dict[str, dict | None]:
-    """Return the mean over images of what :func:`evaluate` gave for each, with the pooled value beside it.
-
-    The mean leaves out images without such pixels. "pooled" is the score of all pixels of all images thrown together:
-    it weighs an image by its pixels, and pooled RMSE averages squares before the root. Mixing the two within one table
-    can put RMSE below MAE, which neither kind of average alone can do (as happens in the paper's Table V).
-
-    Returns:
-        One entry per set: {each metric: mean over images, "n": pixels, "images": images with such pixels,
-        "pooled": {each metric: pooled value}}, or None where no image has such pixels.
-
-    Raises:
-        ValueError: for an empty list.
-    """
-    if not results:
-        raise ValueError("nothing to average: give the list of evaluate(...) results, one per image")
-    return {name: _average([r[name] for r in results if r[name] is not None]) for name in SETS}
-
-
-def bootstrap_mean(values: Sequence[float | None], n: int = 2000, seed: int = 0) -> tuple[float, float, float]:
-    """Return (mean, low, high): the mean and its 95 % percentile-bootstrap interval over images.
-
-    Args:
-        values: one number per image; None (no such pixels) is left out.
-        n: resamples.
-        seed: of the resampling.
-
-    Raises:
-        ValueError: when no finite value is left.
-    """
-    kept = np.array([v for v in values if v is not None], dtype=np.float64)
-    if kept.ndim != 1 or kept.size == 0 or not np.isfinite(kept).all() or n < 1:
-        raise ValueError(f"expected finite numbers, one per image, and n >= 1; got {kept.size} numbers, n = {n}")
-    picks = np.random.default_rng(seed).integers(0, kept.size, size=(n, kept.size))
-    low, high = np.percentile(kept[picks].mean(axis=1), [2.5, 97.5])
-    return float(kept.mean()), float(low), float(high)
-
-
-def paired_bootstrap(
-    a: Sequence[float | None], b: Sequence[float | None], n: int = 2000, seed: int = 0
-) -> tuple[float, float, float]:
-    """Return (mean of a - b, low, high), 95 %, resampling images and keeping each image's two scores together.
-
-    Args:
-        a: one score per image of the first method; None leaves the image out for both.
-        b: the same images' scores of the second method.
-        n: resamples.
-        seed: of the resampling.
-
-    Raises:
-        ValueError: for lists of different length or without a common image.
-    """
-    if len(a) != len(b):
-        raise ValueError(f"a and b should score the same images, got {len(a)} and {len(b)} values")
-    return bootstrap_mean([None if x is None or y is None else x - y for x, y in zip(a, b, strict=True)], n, seed)
-
-
 def iou(pred: np.ndarray, true: np.ndarray) -> float | None:
     """Return intersection over union of two bool masks, in 0 to 1; None where both are empty."""
     pred, true = _masks(pred, true)
@@ -230,42 +188,6 @@ def area_ratio(pred: np.ndarray, true: np.ndarray) -> float | None:
     return _ratio(pred.sum(), true.sum())
 
 
-def format_table(rows: Mapping[str, Mapping[str, Scores | None]], sets: Sequence[str] = SETS) -> str:
-    """Return a plain-text table, one block per pixel set and one line per method; RMSE and MAE in millimetres.
-
-    Args:
-        rows: method name -> what :func:`evaluate` or :func:`average` returned.
-        sets: the pixel sets to show, in order.
-    """
-    if not rows:
-        raise ValueError("nothing to show: give a mapping from method name to evaluate(...) or average(...) result")
-    width = max(len(name) for name in [*rows, "method"])
-    header = "method".ljust(width) + "".join(title.rjust(9) for title, _, _ in _COLUMNS.values())
-    lines: list[str] = []
-    for key in sets:
-        pixels = max((row[key]["n"] for row in rows.values() if row.get(key)), default=0)
-        lines += [f"{key} ({pixels:,} pixels)", header]
-        for name, row in rows.items():
-            found = row.get(key) or {}
-            cells = (
-                f"{scale * found[m]:9.{digits}f}" if found else "-".rjust(9)
-                for m, (_, scale, digits) in _COLUMNS.items()
-            )
-            lines.append(name.ljust(width) + "".join(cells))
-        lines.append("")
-    return "\n".join(lines)
-
-
-_COLUMNS = {  # metric: title, factor, decimals
-    "rmse": ("RMSE mm", 1000, 1),
-    "mae": ("MAE mm", 1000, 1),
-    "rel": ("REL", 1, 4),
-    "d105": ("d1.05 %", 1, 2),
-    "d110": ("d1.10 %", 1, 2),
-    "d125": ("d1.25 %", 1, 2),
-}
-
-
 def _score(pred: np.ndarray, gt: np.ndarray, mask: np.ndarray | None) -> Scores | None:
     if mask is None or not mask.any():
         return None
@@ -273,17 +195,6 @@ def _score(pred: np.ndarray, gt: np.ndarray, mask: np.ndarray | None) -> Scores 
     scores = {"rmse": rmse(pred, gt), "mae": mae(pred, gt), "rel": rel(pred, gt)}
     scores |= {f"d{round(100 * t)}": delta(pred, gt, t) for t in (1.05, 1.10, 1.25)}
     return scores | {"n": int(mask.sum())}
-
-
-def _average(scores: list[Scores]) -> dict | None:
-    if not scores:
-        return None
-    n = np.array([s["n"] for s in scores], dtype=np.float64)
-    columns = {m: np.array([s[m] for s in scores]) for m in METRICS}
-    pooled = {m: float(n @ values / n.sum()) for m, values in columns.items()}
-    pooled["rmse"] = float(np.sqrt(n @ columns["rmse"] ** 2 / n.sum()))
-    means = {m: float(values.mean()) for m, values in columns.items()}
-    return means | {"n": int(n.sum()), "images": len(scores), "pooled": pooled}
 
 
 def _scored(pred: np.ndarray, gt: np.ndarray, mask: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

@@ -254,16 +254,20 @@ METRICS = [
         ("CRPS: unfair", "max(size * (size - 1), 1)", "max(size * size, 1)"),
         ("CRPS: sign", "np.mean(error - spread)", "np.mean(error + spread)"),
         ("CRPS: rank weights off by one", "np.arange(size) - (size - 1)", "np.arange(size) - size"),
-        ("pooled RMSE: of roots", 'columns["rmse"] ** 2 / n.sum()', 'columns["rmse"] / n.sum()'),
-        ("pooled: not weighed", "float(n @ values / n.sum())", "float(values.mean())"),
         ("unknown truth scored", "chosen = gt > 0 if mask", "chosen = gt >= 0 if mask"),
         ("sets: geometric where measured", "~region & (raw == 0)", "~region & (raw > 0)"),
         ("sets: geometric inside", "known & ~region & (raw == 0)", "known & region & (raw == 0)"),
         ("sets: outside is inside", '"outside": known & ~region}', '"outside": known & region}'),
-        ("interval: 90 per cent", "[2.5, 97.5]", "[5.0, 95.0]"),
         ("IoU: union for intersection", "_ratio((pred & true).sum(), (pred", "_ratio((pred | true).sum(), (pred"),
         ("miss rate: false alarms", "_ratio((true & ~pred).sum()", "_ratio((pred & ~true).sum()"),
         ("area ratio: upside down", "_ratio(pred.sum(), true.sum())", "_ratio(true.sum(), pred.sum())"),
+    ),
+    *family(
+        "averages and intervals",
+        "summaries",
+        ("pooled RMSE: of roots", 'columns["rmse"] ** 2 / n.sum()', 'columns["rmse"] / n.sum()'),
+        ("pooled: not weighed", "float(n @ values / n.sum())", "float(values.mean())"),
+        ("interval: 90 per cent", "[2.5, 97.5]", "[5.0, 95.0]"),
     ),
 ]
 

@@ -1,4 +1,4 @@
-"""Metrics: hand-computed values, identities, properties, averages and intervals."""
+"""Metrics: hand-computed values, identities, properties."""
 
 import math
 
@@ -157,57 +157,6 @@ def test_optical_and_outside_are_the_whole(pred, truth, region):
     assert math.sqrt(square) == pytest.approx(result["whole"]["rmse"], rel=1e-6, abs=1e-9)
 
 
-# averages and intervals
-
-
-def test_average_is_per_image_with_the_pooled_value_beside_it():
-    one = M.evaluate(np.array([[1.1]]), np.array([[1.0]]))
-    three = M.evaluate(np.array([[1.3, 1.3, 1.3]]), np.array([[1.0, 1.0, 1.0]]))
-    whole = M.average([one, three])["whole"]
-    assert whole["rmse"] == pytest.approx(0.2) and whole["mae"] == pytest.approx(0.2)
-    assert whole["pooled"]["mae"] == pytest.approx((0.1 + 3 * 0.3) / 4)
-    assert whole["pooled"]["rmse"] == pytest.approx(math.sqrt((0.01 + 3 * 0.09) / 4))
-    assert (whole["n"], whole["images"]) == (4, 2)
-
-
-@settings(deadline=None)
-@given(st.lists(st.tuples(MAPS, MAPS), min_size=1, max_size=4))
-def test_pooling_equals_scoring_everything_at_once(frames):
-    pooled = M.average([M.evaluate(p, g) for p, g in frames])["whole"]["pooled"]
-    together = M.evaluate(*(np.concatenate(maps) for maps in zip(*frames, strict=True)))["whole"]
-    assert pooled == pytest.approx({m: together[m] for m in M.METRICS}, rel=1e-6, abs=1e-9)
-
-
-def test_average_leaves_out_images_without_such_pixels():
-    pred, truth, region, raw = frame()
-    with_region, without = M.evaluate(pred, truth, region, raw), M.evaluate(pred, truth, np.zeros_like(region), raw)
-    result = M.average([with_region, without])
-    assert result["optical"]["images"] == 1 and result["optical"]["rmse"] == with_region["optical"]["rmse"]
-    assert M.average([without])["optical"] is None
-    with pytest.raises(ValueError, match="nothing to average"):
-        M.average([])
-
-
-def test_bootstrap_interval_is_that_of_the_mean():
-    values = np.random.default_rng(1).normal(5.0, 2.0, 400)
-    mean, low, high = M.bootstrap_mean(values)
-    assert mean == pytest.approx(values.mean())
-    expected = 1.96 * values.std() / math.sqrt(len(values))
-    assert (high - mean, mean - low) == (pytest.approx(expected, rel=0.1), pytest.approx(expected, rel=0.1))
-    assert M.bootstrap_mean(values) == M.bootstrap_mean(values) != M.bootstrap_mean(values, seed=1)
-
-
-def test_paired_bootstrap_keeps_pairs_together():
-    hard = np.random.default_rng(2).normal(5.0, 2.0, 50)
-    mean, low, high = M.paired_bootstrap(hard + 0.1, hard)
-    assert (mean, low, high) == pytest.approx((0.1, 0.1, 0.1))  # unpaired, the interval would be about 1.6 wide
-    assert M.paired_bootstrap([1.0, None, 3.0], [0.5, 9.0, None])[0] == 0.5
-    with pytest.raises(ValueError, match="same images"):
-        M.paired_bootstrap([1.0], [1.0, 2.0])
-    with pytest.raises(ValueError, match="finite"):
-        M.bootstrap_mean([None])
-
-
 # masks
 
 
@@ -227,21 +176,6 @@ def test_segmentation_scores_by_hand():
 def test_growing_a_mask_misses_less(pred, true):
     rate, grown = M.miss_rate(pred, true), M.miss_rate(pred | true[::-1], true)
     assert rate is None or grown <= rate
-
-
-# table
-
-
-def test_table_shows_millimetres_and_dashes():
-    pred, truth, region, _ = frame()
-    table = M.format_table(
-        {"ours": M.evaluate(pred, truth, region), "flat": M.evaluate(pred, truth)}, ["whole", "optical"]
-    )
-    lines = table.splitlines()
-    assert lines[0] == "whole (5 pixels)" and lines[1].split()[:3] == ["method", "RMSE", "mm"]
-    assert lines[2].split()[:3] == ["ours", "331.7", "300.0"]
-    assert lines[8].split() == ["flat"] + ["-"] * 6
-    assert len({len(line) for line in lines if line.startswith(("ours", "flat", "method"))}) == 1
 
 
 # bad input

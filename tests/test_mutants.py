@@ -20,6 +20,7 @@ FORMULAS = {  # each has its own family of mistakes
     "commitment",
     "attention",
     "metrics (Eq. 4-6, I2)",
+    "averages and intervals",
     "partition (Eq. 1-2)",
     "labels and parallax",
 }

@@ -1,0 +1,96 @@
+"""Averages over frames, their intervals, the table; all by the names that ``metrics`` gives them."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from ditr_lite import metrics as M
+from ditr_lite import summaries
+
+MAPS = arrays(np.float64, (3, 4), elements=st.floats(0.05, 10.0))
+
+
+def frame() -> tuple[np.ndarray, ...]:
+    truth = np.array([[1.0, 1.0, 1.0], [2.0, 2.0, 0.0]], np.float32)
+    pred = np.array([[1.1, 1.2, 1.3], [2.4, 2.5, 7.0]], np.float32)
+    region = np.array([[True, True, False], [False, False, True]])
+    raw = np.array([[1.5, 0.0, 0.0], [2.0, 0.0, 1.0]], np.float32)
+    return pred, truth, region, raw
+
+
+def test_metrics_offers_them_too():
+    names = [
+        n for n, v in vars(summaries).items() if getattr(v, "__module__", "") == summaries.__name__ and n[0] != "_"
+    ]
+    assert sorted(names) == ["average", "bootstrap_mean", "format_table", "paired_bootstrap"]
+    assert all(getattr(M, name) is getattr(summaries, name) for name in [*names, "SETS", "METRICS", "Scores"])
+
+
+# averages and intervals
+
+
+def test_average_is_per_image_with_the_pooled_value_beside_it():
+    one = M.evaluate(np.array([[1.1]]), np.array([[1.0]]))
+    three = M.evaluate(np.array([[1.3, 1.3, 1.3]]), np.array([[1.0, 1.0, 1.0]]))
+    whole = M.average([one, three])["whole"]
+    assert whole["rmse"] == pytest.approx(0.2) and whole["mae"] == pytest.approx(0.2)
+    assert whole["pooled"]["mae"] == pytest.approx((0.1 + 3 * 0.3) / 4)
+    assert whole["pooled"]["rmse"] == pytest.approx(math.sqrt((0.01 + 3 * 0.09) / 4))
+    assert (whole["n"], whole["images"]) == (4, 2)
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(MAPS, MAPS), min_size=1, max_size=4))
+def test_pooling_equals_scoring_everything_at_once(frames):
+    pooled = M.average([M.evaluate(p, g) for p, g in frames])["whole"]["pooled"]
+    together = M.evaluate(*(np.concatenate(maps) for maps in zip(*frames, strict=True)))["whole"]
+    assert pooled == pytest.approx({m: together[m] for m in M.METRICS}, rel=1e-6, abs=1e-9)
+
+
+def test_average_leaves_out_images_without_such_pixels():
+    pred, truth, region, raw = frame()
+    with_region, without = M.evaluate(pred, truth, region, raw), M.evaluate(pred, truth, np.zeros_like(region), raw)
+    result = M.average([with_region, without])
+    assert result["optical"]["images"] == 1 and result["optical"]["rmse"] == with_region["optical"]["rmse"]
+    assert M.average([without])["optical"] is None
+    with pytest.raises(ValueError, match="nothing to average"):
+        M.average([])
+
+
+def test_bootstrap_interval_is_that_of_the_mean():
+    values = np.random.default_rng(1).normal(5.0, 2.0, 400)
+    mean, low, high = M.bootstrap_mean(values)
+    assert mean == pytest.approx(values.mean())
+    expected = 1.96 * values.std() / math.sqrt(len(values))
+    assert (high - mean, mean - low) == (pytest.approx(expected, rel=0.1), pytest.approx(expected, rel=0.1))
+    assert M.bootstrap_mean(values) == M.bootstrap_mean(values) != M.bootstrap_mean(values, seed=1)
+
+
+def test_paired_bootstrap_keeps_pairs_together():
+    hard = np.random.default_rng(2).normal(5.0, 2.0, 50)
+    mean, low, high = M.paired_bootstrap(hard + 0.1, hard)
+    assert (mean, low, high) == pytest.approx((0.1, 0.1, 0.1))  # unpaired, the interval would be about 1.6 wide
+    assert M.paired_bootstrap([1.0, None, 3.0], [0.5, 9.0, None])[0] == 0.5
+    with pytest.raises(ValueError, match="same images"):
+        M.paired_bootstrap([1.0], [1.0, 2.0])
+    with pytest.raises(ValueError, match="finite"):
+        M.bootstrap_mean([None])
+
+
+# table
+
+
+def test_table_shows_millimetres_and_dashes():
+    pred, truth, region, _ = frame()
+    table = M.format_table(
+        {"ours": M.evaluate(pred, truth, region), "flat": M.evaluate(pred, truth)}, ["whole", "optical"]
+    )
+    lines = table.splitlines()
+    assert lines[0] == "whole (5 pixels)" and lines[1].split()[:3] == ["method", "RMSE", "mm"]
+    assert lines[2].split()[:3] == ["ours", "331.7", "300.0"]
+    assert lines[8].split() == ["flat"] + ["-"] * 6
+    assert len({len(line) for line in lines if line.startswith(("ours", "flat", "method"))}) == 1
