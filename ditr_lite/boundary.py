@@ -4,8 +4,7 @@ Paper: Sec. IV-C "Feature Extractor". The paper runs SAM (ViT-L) on RGB and on d
 masks M_RGB and M_D; how a set of masks becomes a map is not said. Here anything that turns an image into a bool map
 is a backend, and ``classical`` needs no weights.
 
-Convention: a boundary belongs to the surface in front, so the marked pixels are the object's outermost ones, one
-pixel wide.
+Convention: a boundary belongs to the surface in front: the marked pixels are its outermost ones, one pixel wide.
 """
 
 from collections.abc import Callable
@@ -22,8 +21,7 @@ def boundaries_from_labels(instances: np.ndarray) -> np.ndarray:
     """Mark the outermost pixels of every labelled object.
 
     ``skimage.segmentation.find_boundaries`` with mode "inner": the marked pixel lies on the object and has a
-    4-neighbour with another label; background (0) is never marked. One pixel wide, two where two objects touch (one
-    for each).
+    4-neighbour with another label; background (0) is never marked. One pixel wide, two where two objects touch.
 
     Args:
         instances: (H, W) int, 0 = background.
@@ -79,7 +77,8 @@ class ClassicalBoundary:
         if image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8:
             edges = self._colour(image)
         elif image.ndim == 2 and np.issubdtype(image.dtype, np.floating):
-            edges = self._depth(image.astype(np.float32))
+            depth = _denoise(image.astype(np.float32))
+            edges = self._jumps(depth) | self._jumps(depth.T).T
         else:
             raise ValueError(f"expected RGB (H, W, 3) uint8 or depth (H, W) float, got {image.shape} {image.dtype}")
         return _drop_small(edges, self.min_length)
@@ -95,10 +94,6 @@ class ClassicalBoundary:
         scale = 64  # cv2.Canny takes int16 derivatives: keep 1/64 of a unit; 2^15 / 64 = 512 is never reached
         ints = [np.ascontiguousarray(np.rint(d * scale).astype(np.int16)) for d in (dx, dy)]
         return cv2.Canny(*ints, self.low * scale, self.high * scale, L2gradient=True) > 0
-
-    def _depth(self, depth: np.ndarray) -> np.ndarray:
-        depth = _denoise(depth)
-        return self._jumps(depth) | self._jumps(depth.T).T
 
     def _jumps(self, depth: np.ndarray) -> np.ndarray:
         """Compare every reading with the next one to its right in the row, whatever is missing in between.
@@ -233,19 +228,19 @@ def precision_recall_f(pred: np.ndarray, true: np.ndarray, tolerance: float = 1)
         tolerance: pixels, Euclidean, >= 0.
 
     Returns:
-        (precision, recall, F) in [0, 1]; NaN where the share is of an empty set, and F = NaN only when both maps are
-        empty.
+        (precision, recall, F) in [0, 1]; NaN for a share of an empty set, F only when both maps are empty.
 
     Raises:
         ValueError: for maps that are not bool and of one shape, or a negative tolerance.
     """
     _check_pair(pred, true, tolerance)
     right, hit = (pred & within(true, tolerance)).sum(), (true & within(pred, tolerance)).sum()
-    precision = float(right / pred.sum()) if pred.any() else float("nan")
-    recall = float(hit / true.sum()) if true.any() else float("nan")
-    if not pred.any() and not true.any():
-        return precision, recall, float("nan")
-    return precision, recall, float(2 * precision * recall / (precision + recall)) if right else 0.0
+    nan = float("nan")
+    precision = float(right / pred.sum()) if pred.any() else nan
+    recall = float(hit / true.sum()) if true.any() else nan
+    if not right:
+        return precision, recall, 0.0 if pred.any() or true.any() else nan
+    return precision, recall, float(2 * precision * recall / (precision + recall))
 
 
 def _check_pair(a: np.ndarray, b: np.ndarray, tolerance: float) -> None:

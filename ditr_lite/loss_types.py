@@ -86,9 +86,7 @@ def partition(rgb: np.ndarray, depth: np.ndarray, region: np.ndarray) -> Partiti
     depth = check_depth("depth", depth)
     region = check_mask("region", region, depth.shape)
     if rgb.shape != (*depth.shape, 3):
-        raise ValueError(
-            f"rgb should be {(*depth.shape, 3)} to match the depth map, got {rgb.shape}; resize one of them"
-        )
+        raise ValueError(f"rgb should be {(*depth.shape, 3)} like the depth map, got {rgb.shape}; resize one of them")
     inside = region[..., None]
     zero = rgb.dtype.type(0)
     return Partition(

@@ -55,8 +55,8 @@ class Encoder(nn.Module):
 class CrossModalFusion(nn.Module):
     """Let each modality reweight the other, pixel by pixel and channel by channel, then add them.
 
-    On glass, colour shows little and depth is wrong or missing in a telling way; on a textured table it is the
-    reverse. Which modality to trust can therefore only be decided by looking at the other one.
+    On glass, colour shows little and depth is wrong or missing in a telling way; on a textured table it is the reverse.
+    Which modality to trust can therefore only be decided by looking at the other one.
     """
 
     def __init__(self, channels: int):
@@ -140,7 +140,6 @@ class RegionNet(nn.Module):
         levels_rgb = self.encoder_rgb(rgb)
         levels_depth = self.encoder_depth(torch.cat([depth_n * valid, valid], dim=1))
         fused = [fuse(r, d) for fuse, r, d in zip(self.fusion, levels_rgb, levels_depth, strict=True)]
-
         x = fused[-1] + self.context(fused[-1])
         side = []
         for lateral, decode, out, fine in zip(self.lateral, self.decode, self.side, reversed(fused[:-1]), strict=True):
@@ -171,9 +170,8 @@ def region_loss(
 ) -> dict[str, Tensor]:
     """Score the main output, every side output and the boundary.
 
-    Each class output costs weighted cross-entropy plus soft Dice: the region covers few pixels, and Dice does not
-    care how many there are. Side outputs are enlarged to the target, rather than the target sampled down, so that
-    thin stems count.
+    Each class output costs weighted cross-entropy plus soft Dice: the region covers few pixels, and Dice does not care
+    how many. Side outputs are enlarged to the target, not the target sampled down, so that thin stems count.
 
     Args:
         outputs: what :class:`RegionNet` returned.
@@ -190,21 +188,18 @@ def region_loss(
         ValueError: when ``target_classes`` is not (B, H, W) int64 of the logits' size.
     """
     logits = outputs["logits"]
-    if target_classes.dtype != torch.int64 or target_classes.shape != (logits.shape[0], *logits.shape[2:]):
-        raise ValueError(
-            f"expected target_classes {(logits.shape[0], *logits.shape[2:])} int64, "
-            f"got {tuple(target_classes.shape)} {target_classes.dtype}"
-        )
+    shape = (logits.shape[0], *logits.shape[2:])
+    if target_classes.dtype != torch.int64 or target_classes.shape != shape:
+        got = f"{tuple(target_classes.shape)} {target_classes.dtype}"
+        raise ValueError(f"expected target_classes {shape} int64, got {got}")
     known = target_classes != IGNORE
     ce, dice = _class_loss(logits, target_classes, known, weight)
     sides = [sum(_class_loss(_resize(s, logits), target_classes, known, weight)) for s in outputs["side"]]
     side = torch.stack(sides).mean() if sides else logits.new_zeros(())
 
-    edge = outputs["boundary"][:, 0]
+    edge, true_edge = outputs["boundary"][:, 0], class_boundary(target_classes).to(logits.dtype)
     positive = edge.new_tensor(boundary_positive)
-    bce = F.binary_cross_entropy_with_logits(
-        edge, class_boundary(target_classes).to(edge.dtype), pos_weight=positive, reduction="none"
-    )
+    bce = F.binary_cross_entropy_with_logits(edge, true_edge, pos_weight=positive, reduction="none")
     boundary = (bce * known).sum() / known.sum().clamp_min(1)
     total = ce + dice + side_weight * side + boundary_weight * boundary
     return {"ce": ce, "dice": dice, "side": side, "boundary": boundary, "total": total}
@@ -223,10 +218,8 @@ def _class_loss(logits: Tensor, target: Tensor, known: Tensor, weight: Tensor | 
 def refine_region(mask: np.ndarray, median: int = 7, dilate: int = 5, iterations: int = 3) -> np.ndarray:
     """Smooth a region mask with a median filter, then grow it by dilation.
 
-    Paper: Sec. IV-B, S2, median 7x7, then dilation 5x5 in 3 iterations (together one 13x13 dilation, 6 pixels a
-    side). The paper names no resolution; these are pixels of the mask given, so at 256x192 they roughly double a true
-    region's area.
-
+    Paper: Sec. IV-B, S2, median 7x7, then dilation 5x5 in 3 iterations (together one 13x13 dilation, 6 pixels a side).
+    The paper names no resolution; these are pixels of the mask given, so at 256x192 they roughly double a true region.
     Borders: the median repeats the border pixel outwards; beyond the border nothing dilates inwards.
 
     Args:

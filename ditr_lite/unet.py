@@ -102,9 +102,8 @@ class CrossAttentionLatentQuery(Attention):
     """The latent asks, the image answers, as in latent diffusion: Q from L_t, K and V from F(x)."""
 
     def __init__(self, channels: int, feature_channels: int, heads: int):
-        super().__init__(
-            channels, feature_channels, channels, heads
-        )  # forward(latent, feature): the order fits already
+        # forward(latent, feature): the order fits already
+        super().__init__(channels, feature_channels, channels, heads)
 
 
 class PlainBlock(nn.Module):
