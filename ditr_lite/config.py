@@ -103,7 +103,7 @@ PRESETS: dict[str, Config] = {
         unet=UNetConfig(width=8, cond_channels=8, heads=2),
         detail=DetailConfig(width=8),
     ),
-    "lite": Config(refine=RefineConfig(median=3, dilate=3, iterations=1)),  # at 256 x 192; chosen on the validation split
+    "lite": Config(refine=RefineConfig(median=3, dilate=3, iterations=1)),  # chosen on the validation split
     "paper": Config(
         name="paper",
         size=(736, 1280),  # 1280 x 720 (Table VI), padded to a multiple of 32

@@ -362,6 +362,35 @@ def test_ddpm_equals_diffusers(prediction, now):
     assert close(df.ddpm_step(x_t, t, pred_x0, SCHEDULE, generator(7)), theirs)
 
 
+def in_double(scheduler):
+    """Give a scheduler of diffusers our tables, which are float64, so that nothing but the formulas is compared."""
+    scheduler.betas, scheduler.alphas = SCHEDULE.betas, SCHEDULE.alphas
+    scheduler.alphas_cumprod = SCHEDULE.alphas_cumprod
+    scheduler.one = scheduler.final_alpha_cumprod = torch.ones((), dtype=torch.float64)
+    return scheduler
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-5), (torch.float64, 1e-10)])
+@pytest.mark.parametrize("prediction", KINDS)
+def test_formulas_equal_diffusers_to_the_last_digits(prediction, dtype, tolerance):
+    diffusers = pytest.importorskip("diffusers")
+    settings = {**SETTINGS, "prediction_type": KINDS[prediction]}
+    ddim = in_double(diffusers.DDIMScheduler(T, **settings, timestep_spacing="trailing"))
+    ddpm = in_double(diffusers.DDPMScheduler(T, **settings))
+    ddim.set_timesteps(10)
+    g = generator(3)
+    x_t, output = (torch.randn(2, 3, 4, 4, generator=g, dtype=dtype) for _ in range(2))
+    for now in (699, 299, 99):  # at t -> T an eps output is divided by almost nothing, in theirs and ours alike
+        t = torch.tensor([now, now])
+        pred_x0 = df.to_x0(output, x_t, t, SCHEDULE, prediction)
+        noisy = df.q_sample(x_t, t, output, SCHEDULE)
+        ours = df.ddim_step(x_t, t, t - 100, pred_x0, SCHEDULE), df.ddpm_step(x_t, t, pred_x0, SCHEDULE, generator(7))
+        theirs = ddim.step(output, now, x_t, eta=0.0), ddpm.step(output, now, x_t, generator=generator(7))
+        pairs = [(a, b.prev_sample) for a, b in zip(ours, theirs, strict=True)]
+        for a, b in [*pairs, (noisy, ddpm.add_noise(x_t, output, t))]:
+            assert a.dtype == dtype and (a - b).abs().max() <= tolerance * b.abs().max()
+
+
 @pytest.mark.parametrize("steps", [1, 3, 4, 30, 999])
 def test_timesteps_equal_diffusers(steps):
     diffusers = pytest.importorskip("diffusers")
