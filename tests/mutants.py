@@ -357,7 +357,7 @@ def main(arguments: list[str] | None = None) -> int:
                 print(f"\n{formula}  (ditr_lite/{mutant.file}.py)")
             verdict = "killed by " + reason if status == 1 else f"SURVIVED (pytest status {status})"
             survivors += [mutant] * (status != 1)
-            print(f"  {mutant.mistake:36s} {seconds:5.1f} s  {verdict}", flush=True)
+            print(f"  {mutant.mistake:42s} {seconds:5.1f} s  {verdict}", flush=True)
     killed = len(chosen) - len(survivors)
     print(f"\n{killed} of {len(chosen)} mutants killed ({100 * killed / max(len(chosen), 1):.0f} %)")
     return 1 if survivors or not chosen else 0
