@@ -42,6 +42,7 @@ class Picture(Figure):
 
         Colours are chosen for coverage, not by frequency, so that a thin colour bar does not break into steps.
         """
+        self.draw_without_rendering()  # titles of two lines are laid out in the second draw
         self.canvas.draw()
         image = Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3])
         indexed = image.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
