@@ -35,6 +35,7 @@ MODULES = (
     "protocols",
     "evaluation",
     "latency",
+    "augment",
     "scenedata",
     "training",
     "recipes",

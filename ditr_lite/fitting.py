@@ -146,7 +146,7 @@ def validate_detail(model: nn.Module, painted, count: int) -> dict[str, float]:
         index = np.arange(start, min(start + 8, count))
         batch, decoded, region = painted(index, None)
         x = recipes.detail_input(decoded, batch.depth_n, batch.valid, region, batch.rgb, batch.guide_rgb)
-        for suffix, depth in (("_before_m", decoded), ("_m", decoded + model(x))):
+        for suffix, depth in (("_before_m", decoded), ("_m", model(x))):
             error = (depth - batch.gt_n) * batch.scale_m
             holes = (1 - region) * (1 - batch.valid)
             out[f"val_optical{suffix}"] += _rmse(error, region * batch.gt_known)
