@@ -126,7 +126,7 @@ def validate_autoencoder(model: nn.Module, val: Scenes) -> dict[str, float]:
         holes = (1 - region) * (1 - batch.valid)
         for name, where in zip(total, (region, holes), strict=True):
             total[name] += _rmse(error, where * batch.gt_known)
-    return {k: float(np.nanmean(v)) for k, v in total.items()} | {"codes_in_use": model.quantizer.usage}
+    return {k: float(np.nanmean(v)) for k, v in total.items()} | {"codebook_perplexity_share": model.quantizer.usage}
 
 
 def validate_branch(branch: str, parts: nn.ModuleDict, val: Scenes, config: Config) -> dict[str, float]:
