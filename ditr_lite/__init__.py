@@ -38,6 +38,7 @@ MODULES = (
     "scenedata",
     "training",
     "recipes",
+    "paper_recipes",
     "fitting",
     "textures",
     "scenes",
