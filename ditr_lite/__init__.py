@@ -35,6 +35,7 @@ MODULES = (
     "protocols",
     "evaluation",
     "latency",
+    "costs",
     "scenedata",
     "training",
     "recipes",
