@@ -9,13 +9,13 @@ FLOP. The paper does not say which it did, so :func:`beside_table_vi` shows both
 from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from ditr_lite.conditioning import CHANNELS
 from ditr_lite.config import Config
 from ditr_lite.detail import detail_input
 from ditr_lite.pipeline import BRANCHES, build
-from ditr_lite.unet import count_flops
+from ditr_lite.unet import DenoisingUNet, count_flops
 
 Row = dict[str, Any]
 TABLE_VI = {"one": (43, 16), "two": (2256, 206)}  # the paper's milliseconds and GFLOPs of both stages
@@ -115,6 +115,42 @@ def beside_table_vi(rows: list[Row]) -> list[Row]:
             }
         )
     return table
+
+
+@torch.no_grad()
+def level_costs(net: DenoisingUNet, image: Tensor, latents: Tensor, known: Tensor, mask: Tensor) -> list[Row]:
+    """Run the denoiser once and count it part by part, in the order in which they run.
+
+    Args:
+        net: the denoiser; on the meta device nothing is allocated.
+        image: (B, Cin, H, W), what F(x) looks at.
+        latents: (B, C, H/4, W/4), L_t.
+        known: like ``latents``, the encoded known depth.
+        mask: (B, M, H/4, W/4), where it is known.
+
+    Returns:
+        One {"part", "shape", "parameters", "mflops", "attention"} a part; ``shape`` is that of its output, without the
+        batch (of F(x): its coarsest map), ``attention`` whether self- and cross-attention sit there.
+    """
+    last = len(net.down) - 1
+    parts = {"F(x), once": net.extractor, "stem": net.stem} | {f"down {i}": m for i, m in enumerate(net.down)}
+    parts |= {"project": net.project}
+    for i, (up, level) in enumerate(zip(net.upsample, net.up, strict=True), start=1):
+        parts |= {f"2x2 to {last - i}": up, f"up {last - i}": level}
+    parts |= {"out": net.out}
+    seen = {}
+    hooks = [m.register_forward_hook(lambda m, i, o: seen.update({m: (i, o)})) for m in parts.values()]
+    net(latents, torch.zeros(len(latents), dtype=torch.long, device=latents.device), net.features(image), known, mask)
+    for hook in hooks:
+        hook.remove()
+    rows = []
+    for name, module in parts.items():
+        inputs, output = seen[module]
+        shape = tuple((output[-1] if isinstance(output, list) else output).shape[1:])
+        mflops, attention = count_flops(module, *inputs) / 1e6, getattr(module, "attention", False)
+        weights = _parameters(module)
+        rows.append({"part": name, "shape": shape, "parameters": weights, "mflops": mflops, "attention": attention})
+    return rows
 
 
 def format_costs(rows: list[Row]) -> str:

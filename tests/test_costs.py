@@ -90,3 +90,21 @@ def test_text_table_names_every_network(paper):
         row["network"] in line for row, line in zip(paper, lines[1:], strict=True)
     )
     assert lines[5].split()[-3:] == ["146.2", "2,000", "292,393"]
+
+
+def test_levels_add_up_to_the_denoiser():
+    config, (height, width) = preset("tiny"), (64, 96)
+    net = build(config)["optical"]
+    latents, mask = torch.zeros(1, 4, height // 4, width // 4), torch.zeros(1, 1, height // 4, width // 4)
+    image = torch.zeros(1, 9, height, width)
+    rows = costs.level_costs(net, image, latents, latents, mask)
+    step = costs.count_flops(net, latents, torch.zeros(1).long(), net.features(image), latents, mask)
+    embedding = 2 * sum(m.weight.numel() for m in net.time if isinstance(m, torch.nn.Linear)) / 1e6
+    assert sum(row["mflops"] for row in rows[1:]) + embedding == pytest.approx(step / 1e6)
+    counted = sum(row["parameters"] for row in rows)
+    rest = sum(p.numel() for m in (net.time, net.norm) for p in m.parameters())
+    assert counted + rest == sum(p.numel() for p in net.parameters())
+    shapes = {row["part"]: row["shape"] for row in rows}
+    assert shapes["down 0"] == shapes["up 0"] == (8, 16, 24) and shapes["down 3"] == shapes["project"] == (64, 2, 3)
+    assert [row["part"] for row in rows if row["attention"]] == ["down 2", "down 3", "up 2"]
+    assert not net.stem._forward_hooks
