@@ -1,14 +1,11 @@
-"""The paper's training statements, the rates read into them, and one step of each part at the paper's widths."""
+"""The paper's rate for its denoiser, and one step of training of every part at the paper's widths."""
 
-import math
 import resource
 import sys
 
 import pytest
 import torch
 import torch.nn.functional as F
-from hypothesis import given
-from hypothesis import strategies as st
 
 from ditr_lite import diffusion
 from ditr_lite import paper_recipes as recipes
@@ -23,50 +20,22 @@ PAPER = preset("paper")
 SIZE = (64, 96)  # the widths are the paper's, the image is small
 
 
-def test_what_the_paper_states():
-    region, tuning, denoiser = recipes.REGION, recipes.FINE_TUNING, recipes.DENOISER
-    assert (region.batch, region.momentum, region.weight_decay, region.epochs) == (16, 0.9, 1e-4, 200)
-    assert (tuning.batch, tuning.momentum, tuning.weight_decay) == (16, 0.9, 1e-4)  # "all settings are kept" ...
-    assert (tuning.lr, tuning.epochs) == (1e-3, 50) and region.lr is None  # ... "except for"
-    assert (denoiser.batch, denoiser.lr) == (64, 1e-6)
+def test_the_stated_rate_and_the_scaled_one():
+    assert (recipes.BATCH, recipes.BASE_RATE) == (64, 1e-6)
+    assert recipes.scaled_rate() == pytest.approx(6.4e-5) and recipes.scaled_rate(gpus=2) == pytest.approx(1.28e-4)
+    for bad in ({"base": 0.0}, {"batch": 0}, {"gpus": 0}):
+        with pytest.raises(ValueError, match="expected a positive base"):
+            recipes.scaled_rate(**bad)
 
 
-def test_optimisers_are_the_stated_ones():
+def test_only_what_is_not_frozen_is_optimised():
     model = torch.nn.Linear(2, 2)
     model.bias.requires_grad_(False)
-    sgd = recipes.make_optimiser(model, recipes.REGION, recipes.region_rate(0))
-    (group,) = sgd.param_groups
-    assert isinstance(sgd, torch.optim.SGD) and group["lr"] == recipes.region_rate(0)
-    assert (group["momentum"], group["weight_decay"], len(group["params"])) == (0.9, 1e-4, 1)
-    assert recipes.make_optimiser(model, recipes.FINE_TUNING).param_groups[0]["lr"] == 1e-3
-    adam = recipes.make_optimiser(model, recipes.DENOISER)
-    assert isinstance(adam, torch.optim.Adam) and adam.param_groups[0]["lr"] == 1e-6
-    assert recipes.make_optimiser(model, recipes.DENOISER, 2e-4).param_groups[0]["lr"] == 2e-4
-
-
-def test_what_cannot_be_optimised_is_refused():
-    with pytest.raises(ValueError, match="states no learning rate"):
-        recipes.make_optimiser(torch.nn.Linear(2, 2), recipes.REGION)
+    (group,) = recipes.make_optimiser(model).param_groups
+    assert group["lr"] == 1e-6 and [p.shape for p in group["params"]] == [(2, 2)]
+    assert recipes.make_optimiser(model, 2e-4).param_groups[0]["lr"] == 2e-4
     with pytest.raises(ValueError, match="all of them are frozen"):
-        recipes.make_optimiser(torch.nn.Linear(2, 2).requires_grad_(False), recipes.DENOISER)
-
-
-@given(st.floats(0, 200))
-def test_region_rate_is_cosine_times_exponential(epoch):
-    rate = recipes.region_rate(epoch, lr=1.0, decay=0.97)
-    assert math.isclose(rate, math.cos(math.pi * epoch / 400) ** 2 * math.exp(epoch * math.log(0.97)), abs_tol=1e-12)
-    assert rate <= recipes.region_rate(max(0, epoch - 1), lr=1.0, decay=0.97)
-
-
-def test_rates_by_hand():
-    assert recipes.region_rate(0, lr=0.3) == 0.3 and recipes.region_rate(200) == pytest.approx(0, abs=1e-15)
-    assert recipes.region_rate(100, lr=1.0, decay=1.0) == pytest.approx(0.5)
-    assert recipes.trosnet_rate(0, 0) == 1e-3 and recipes.trosnet_rate(0, 57) == pytest.approx(1.5e-3)
-    assert recipes.trosnet_rate(150, 171) == pytest.approx(0.6e-3 - 0.3e-3)
-    assert recipes.scaled_rate() == pytest.approx(6.4e-5) and recipes.scaled_rate(gpus=2) == pytest.approx(1.28e-4)
-    for bad in (-1, 201):
-        with pytest.raises(ValueError, match="expected 0 to 200"):
-            recipes.region_rate(bad)
+        recipes.make_optimiser(model.requires_grad_(False))
 
 
 def region_case():
@@ -97,20 +66,12 @@ def denoiser_case():
     return model, loss
 
 
-@pytest.mark.parametrize(
-    ("case", "stated", "lr"),
-    [
-        (region_case, recipes.REGION, recipes.region_rate(0)),
-        (autoencoder_case, recipes.DENOISER, 1e-5),
-        (denoiser_case, recipes.DENOISER, recipes.scaled_rate()),
-    ],
-    ids=["region", "autoencoder", "denoiser"],
-)
-def test_a_step_of_training_runs_at_the_papers_widths(case, stated, lr):
+@pytest.mark.parametrize(("case", "lr"), [(region_case, 1e-3), (autoencoder_case, 1e-5), (denoiser_case, 6.4e-5)])
+def test_a_step_of_training_runs_at_the_papers_widths(case, lr):
     torch.manual_seed(0)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     model, loss = case()
-    optimiser = recipes.make_optimiser(model.train(), stated, lr)
+    optimiser = recipes.make_optimiser(model.train(), lr)
     before = loss()
     before.backward()
     without = [name for name, p in model.named_parameters() if p.grad is None]
