@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from ditr_lite import costs, latency
+from ditr_lite.conditioning import CHANNELS
 from ditr_lite.config import override, preset
 from ditr_lite.data import Sample
 from ditr_lite.pipeline import Ditr, build
@@ -89,14 +90,14 @@ def test_text_table_names_every_network(paper):
     assert len(lines) == 1 + len(paper) and all(
         row["network"] in line for row, line in zip(paper, lines[1:], strict=True)
     )
-    assert lines[5].split()[-3:] == ["146.2", "2,000", "292,393"]
+    assert lines[5].split()[-3:] == [f"{paper[4]['gflops']:,.1f}", "2,000", f"{2000 * paper[4]['gflops']:,.0f}"]
 
 
 def test_levels_add_up_to_the_denoiser():
     config, (height, width) = preset("tiny"), (64, 96)
     net = build(config)["optical"]
     latents, mask = torch.zeros(1, 4, height // 4, width // 4), torch.zeros(1, 1, height // 4, width // 4)
-    image = torch.zeros(1, 9, height, width)
+    image = torch.zeros(1, len(CHANNELS), height, width)
     rows = costs.level_costs(net, image, latents, latents, mask)
     step = costs.count_flops(net, latents, torch.zeros(1).long(), net.features(image), latents, mask)
     embedding = 2 * sum(m.weight.numel() for m in net.time if isinstance(m, torch.nn.Linear)) / 1e6
