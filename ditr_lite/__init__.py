@@ -47,6 +47,7 @@ MODULES = (
     "render",
     "simulate",
     "realism",
+    "papermap_entries",
     "papermap",
     "panels",
     "viz",
