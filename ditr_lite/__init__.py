@@ -55,6 +55,7 @@ MODULES = (
     "checks",
     "checks_diffusion",
     "checks_pipeline",
+    "checks_loss",
     "commands",
 )
 

@@ -358,8 +358,18 @@ def run_tests(mutant: Mutant | None, tests: Sequence[str]) -> tuple[int, str, fl
         if mutant is not None:
             target = copy / "ditr_lite" / f"{mutant.file}.py"
             target.write_text(mutate(target.read_text(encoding="utf-8"), mutant), encoding="utf-8")
-        # the copy comes first on the path, before an installed package; comparisons with libraries are left out
-        plain = ["-p", "no:cacheprovider", "-p", "no:nbval", "--rootdir", folder, "-k", "not diffusers"]
+        # the copy comes first on the path, before an installed package; comparisons with libraries and tests on
+        # rendered scenes, which are not copied, are left out
+        plain = [
+            "-p",
+            "no:cacheprovider",
+            "-p",
+            "no:nbval",
+            "--rootdir",
+            folder,
+            "-k",
+            "not diffusers and not rendered",
+        ]
         command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=line", *plain, *tests]
         environment = {**os.environ, "PYTHONPATH": folder, "PYTHONDONTWRITEBYTECODE": "1"}
         result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
