@@ -17,6 +17,7 @@ MODULES = (
     "camera",
     "datasets",
     "loss_types",
+    "shadows",
     "summaries",
     "metrics",
     "region",
@@ -32,6 +33,7 @@ MODULES = (
     "completion",
     "pipeline",
     "baselines",
+    "loss_estimate",
     "protocols",
     "evaluation",
     "latency",
@@ -52,10 +54,12 @@ MODULES = (
     "papermap",
     "panels",
     "viz",
+    "knobs",
     "checker",
     "checks",
     "checks_diffusion",
     "checks_pipeline",
+    "checks_loss",
     "commands",
 )
 

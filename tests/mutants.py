@@ -293,6 +293,38 @@ PARTITION = [
         ("shadow: focal length dropped", "return fx * baseline_m *", "return baseline_m *"),
         ("reprojection: farthest wins", "np.minimum.at(nearest", "np.maximum.at(nearest"),
     ),
+    *family(
+        "shadows measured",
+        "shadows",
+        ("moved the other way", "motion[0, 3] = offset_m", "motion[0, 3] = -offset_m"),
+        ("raster not divided by", "(end - int(filled[-1])) / FINE", "(end - int(filled[-1]))"),
+        ("near and far swapped", "shadow_width_px(near, far, offset_m", "shadow_width_px(near, 2 * far, offset_m"),
+        ("principal point of the coarse raster", "(camera.cx + 0.5) * FINE - 0.5", "camera.cx * FINE"),
+        ("thin objects count as clear", "(right < (near + far) / 2).all()", "(right > 0).all()"),
+        ("second surfaces count as clear", "(np.abs(left - far) <= FACET_STEP * far).all()", "left.all()"),
+        ("tolerance signed", "np.abs(self.measured_px - wanted)", "(self.measured_px - wanted)"),
+    ),
+    *family(
+        "loss types guessed",
+        "loss_estimate",
+        ("inside: every reading believed", "depth > (1 - IN_FRONT) * surroundings", "depth < 0"),
+        (
+            "inside: in front means wrong",
+            "depth > (1 - IN_FRONT) * surroundings",
+            "depth < (1 - IN_FRONT) * surroundings",
+        ),
+        ("outside: holes count as jumps", "np.where(valid, depth, np.float32(np.inf))", "np.where(valid, depth, 0)"),
+        ("baseline added", "-= stereo.baseline_m", "+= stereo.baseline_m"),
+        ("baseline dropped", "-= stereo.baseline_m", "-= 0"),
+        ("a shadow falls on the near surface", "np.maximum(depth[rows, left]", "np.minimum(depth[rows, left]"),
+        ("farther surfaces hide", "(before < (1 - FACET_STEP) * z)", "(before > (1 - FACET_STEP) * z)"),
+        ("mirror and glass swapped", "Cause.REFLECTION if mirror else", "Cause.REFLECTION if not mirror else"),
+        (
+            "confusion transposed",
+            "index[truth[counted]] * len(values) + index[guess",
+            "index[guess[counted]] * len(values) + index[truth",
+        ),
+    ),
 ]
 
 MUTANTS: list[Mutant] = [*SCHEDULE, *DIFFUSION, *AUTOENCODER, *ATTENTION, *METRICS, *PARTITION]
@@ -326,8 +358,18 @@ def run_tests(mutant: Mutant | None, tests: Sequence[str]) -> tuple[int, str, fl
         if mutant is not None:
             target = copy / "ditr_lite" / f"{mutant.file}.py"
             target.write_text(mutate(target.read_text(encoding="utf-8"), mutant), encoding="utf-8")
-        # the copy comes first on the path, before an installed package; comparisons with libraries are left out
-        plain = ["-p", "no:cacheprovider", "-p", "no:nbval", "--rootdir", folder, "-k", "not diffusers"]
+        # the copy comes first on the path, before an installed package; comparisons with libraries and tests on
+        # rendered scenes, which are not copied, are left out
+        plain = [
+            "-p",
+            "no:cacheprovider",
+            "-p",
+            "no:nbval",
+            "--rootdir",
+            folder,
+            "-k",
+            "not diffusers and not rendered",
+        ]
         command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=line", *plain, *tests]
         environment = {**os.environ, "PYTHONPATH": folder, "PYTHONDONTWRITEBYTECODE": "1"}
         result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)

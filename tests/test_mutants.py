@@ -23,6 +23,8 @@ FORMULAS = {  # each has its own family of mistakes
     "averages and intervals",
     "partition (Eq. 1-2)",
     "labels and parallax",
+    "shadows measured",
+    "loss types guessed",
 }
 
 
