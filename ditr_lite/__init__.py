@@ -18,6 +18,8 @@ MODULES = (
     "datasets",
     "loss_types",
     "summaries",
+    "tables",
+    "audit",
     "metrics",
     "region",
     "boundary",
