@@ -21,6 +21,8 @@ FORMULAS = {  # each has its own family of mistakes
     "attention",
     "metrics (Eq. 4-6, I2)",
     "averages and intervals",
+    "audit of tables",
+    "protocols",
     "partition (Eq. 1-2)",
     "labels and parallax",
     "shadows measured",
