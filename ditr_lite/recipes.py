@@ -23,13 +23,14 @@ from ditr_lite.schedule import make_schedule
 from ditr_lite.training import Recipe
 
 CLASS_WEIGHTS = (0.4, 1.0, 1.0)  # background, transparent, reflective
+REFRAME_ALL, REFRAME_SHARE = 1000, 0.3  # stage one: every batch is reframed up to this step, then this share of them
 StepLoss = Callable[[int], dict[str, Tensor]]
 
 RECIPES = {
     "autoencoder": Recipe(steps=3000, batch=16, lr=2e-3),
     "region": Recipe(steps=2800, batch=8, lr=2e-3, weight_decay=1e-2),
     "optical": Recipe(steps=1500, batch=8, lr=1e-3),
-    "geometric": Recipe(steps=900, batch=8, lr=1e-3),
+    "geometric": Recipe(steps=750, batch=8, lr=1e-3),
     "detail": Recipe(steps=1000, batch=8, lr=2e-3),
 }
 
@@ -46,8 +47,10 @@ def region_step(model: nn.Module, scenes: Scenes, recipe: Recipe, seed: int = 0)
     def step_loss(step: int) -> dict[str, Tensor]:
         rng = rng_of(seed, step)
         batch = draw(scenes, rng.integers(0, len(scenes), recipe.batch), rng)
-        maps = [batch.depth_n, batch.valid, batch.material[:, None].float(), batch.gt_known]
-        rgb, (depth_n, valid, material, known) = reframe(batch.rgb, maps, rng)
+        rgb, maps = batch.rgb, [batch.depth_n, batch.valid, batch.material[:, None].float(), batch.gt_known]
+        if step < REFRAME_ALL or rng.random() < REFRAME_SHARE:  # variety first, then frames as they will be met
+            rgb, maps = reframe(rgb, maps, rng)
+        depth_n, valid, material, known = maps
         target = torch.where(known > 0, material, IGNORE)[:, 0].long()
         return region_loss(model(_cl(rgb), depth_n, valid), target, weight)
 
