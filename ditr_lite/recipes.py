@@ -30,8 +30,8 @@ RECIPES = {
     "autoencoder": Recipe(steps=3000, batch=16, lr=2e-3),
     "region": Recipe(steps=2800, batch=8, lr=2e-3, weight_decay=1e-2),
     "optical": Recipe(steps=1500, batch=8, lr=1e-3),
-    "geometric": Recipe(steps=750, batch=8, lr=1e-3),
-    "detail": Recipe(steps=1000, batch=8, lr=2e-3),
+    "geometric": Recipe(steps=800, batch=8, lr=1e-3),
+    "detail": Recipe(steps=1300, batch=8, lr=2e-3),
 }
 
 
