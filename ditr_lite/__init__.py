@@ -48,6 +48,7 @@ MODULES = (
     "papermap",
     "panels",
     "viz",
+    "knobs",
     "checker",
     "checks",
     "checks_diffusion",
