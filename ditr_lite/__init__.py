@@ -39,6 +39,8 @@ MODULES = (
     "training",
     "recipes",
     "fitting",
+    "region_training",
+    "finetune",
     "textures",
     "scenes",
     "sensor",
