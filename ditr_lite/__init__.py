@@ -32,6 +32,7 @@ MODULES = (
     "completion",
     "pipeline",
     "baselines",
+    "region_scores",
     "protocols",
     "evaluation",
     "latency",
@@ -55,6 +56,7 @@ MODULES = (
     "checks",
     "checks_diffusion",
     "checks_pipeline",
+    "checks_region",
     "commands",
 )
 
