@@ -9,24 +9,36 @@ from hypothesis import strategies as st
 from ditr_lite import completion, finetune
 from ditr_lite.conditioning import depth_bounds
 from ditr_lite.config import RefineConfig, preset
-from ditr_lite.data import SAMPLES
 from ditr_lite.finetune import final_rmse, finetune_region, paint, paint_once, soft_compose, soft_region
 from ditr_lite.pipeline import Ditr, build
 from ditr_lite.recipes import batches
-from ditr_lite.region import refine_region
-from ditr_lite.scenedata import Scenes, draw, load_scenes
+from ditr_lite.region import class_boundary, refine_region
+from ditr_lite.scenedata import Scenes, draw
 
 TINY = preset("tiny")
 KERNELS = [RefineConfig(), RefineConfig(3, 3, 1), RefineConfig(0, 5, 2), RefineConfig(5, 0, 3), RefineConfig(3, 3, 0)]
 
 
+def make_scenes(count, shape):
+    """Tilted planes at 0.5 to 0.8 m with a bright box of glass or metal, half missing, half 5 cm too far."""
+    rng = np.random.default_rng(0)
+    gt = np.tile(np.linspace(500, 800, shape[1]).astype(np.uint16), (count, shape[0], 1))
+    rgb, material = rng.integers(0, 120, (count, *shape, 3), np.uint8), np.zeros((count, *shape), np.uint8)
+    depth = gt.copy()
+    for k in range(count):
+        top, left = (int(rng.integers(0, n // 2)) for n in shape)
+        box = np.s_[k, top : top + shape[0] // 3, left : left + shape[1] // 3]
+        rgb[box] += 120
+        material[box] = 1 + k % 2
+        depth[box] += 50
+        depth[k, top : top + shape[0] // 6, left : left + shape[1] // 3] = 0
+    guides = np.stack([class_boundary(torch.from_numpy(material).long()).numpy()] * 2, axis=1).astype(np.uint8)
+    return Scenes([f"made_{k}" for k in range(count)], rgb, depth, gt, material, guides)
+
+
 @pytest.fixture(scope="module")
-def scenes(tmp_path_factory):
-    """Two training scenes at half their height and 3/8 of their width: 64 x 96 after cropping."""
-    full = load_scenes(SAMPLES / "train", 2, "classical", tmp_path_factory.mktemp("guides") / "maps.npz")
-    cut = np.s_[..., 32:160:2, 32:224:2]
-    small = [getattr(full, k)[cut] for k in ("depth", "depth_gt", "material", "guides")]
-    return Scenes(full.names, full.rgb[:, 32:160:2, 32:224:2], *small)
+def scenes():
+    return make_scenes(2, (64, 96))
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,9 @@ FORMULAS = {  # each has its own family of mistakes
     "averages and intervals",
     "partition (Eq. 1-2)",
     "labels and parallax",
+    "learning rates (S3)",
+    "soft region (S4)",
+    "prices of mistakes",
 }
 
 
