@@ -117,7 +117,7 @@ MISTAKES = [
     (checks.check_region_gradient, lambda m, o, k, y: 2 / 6 * (m * o + (1 - m) * k - y) * o, "kept falls"),
     (checks.check_region_gradient, lambda *a: gradient(*a) / 2, "2 of the square"),
     (checks.check_region_gradient, lambda *a: gradient(*a) * 6, "divides by N"),
-    (checks.check_region_gradient, lambda *a: gradient(*a).mean(), "shape"),
+    (checks.check_region_gradient, lambda *a: gradient(*a).mean(), "a derivative of its own"),
     (checks.check_soft_refine, lambda p, k: cv2.dilate(vote(p, k), np.ones((3, 3))), "first threshold"),
     (
         checks.check_soft_refine,
