@@ -30,6 +30,7 @@ def make_scenes(count, shape):
     gt = np.tile(np.linspace(500, 800, shape[1]).astype(np.uint16), (count, shape[0], 1))
     rgb, material = rng.integers(0, 120, (count, *shape, 3), np.uint8), np.zeros((count, *shape), np.uint8)
     depth = gt.copy()
+    gt[:, :3] = 0  # unknown
     for k in range(count):
         top, left = (int(rng.integers(0, n // 2)) for n in shape)
         box = np.s_[k, top : top + shape[0] // 3, left : left + shape[1] // 3]
