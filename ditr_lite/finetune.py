@@ -122,8 +122,8 @@ def paint(parts: nn.ModuleDict, batch: Batch, region: Tensor, config: Config, se
     if "detail" in parts:
         together = torch.where(region > 0, *drawn)
         x = detail_input(together, batch.depth_n, batch.valid, region, batch.rgb, batch.guide_rgb)
-        residual = parts["detail"](x)
-        drawn = [d + residual for d in drawn]
+        finer = parts["detail"](x)  # each branch is sharpened where it will be used
+        drawn = [torch.where(region > 0, finer, drawn[0]), torch.where(region > 0, drawn[1], finer)]
     return tuple(drawn)
 
 

@@ -21,11 +21,15 @@ FORMULAS = {  # each has its own family of mistakes
     "attention",
     "metrics (Eq. 4-6, I2)",
     "averages and intervals",
+    "audit of tables",
+    "protocols",
     "partition (Eq. 1-2)",
     "labels and parallax",
     "learning rates (S3)",
     "soft region (S4)",
     "prices of mistakes",
+    "shadows measured",
+    "loss types guessed",
 }
 
 
