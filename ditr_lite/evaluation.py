@@ -19,11 +19,12 @@ from ditr_lite.conditioning import fit
 from ditr_lite.data import Sample, clean_depth
 from ditr_lite.pipeline import Completion, Ditr
 from ditr_lite.protocols import Protocol
+from ditr_lite.region_scores import PER_CLASS, class_map, class_scores
 from ditr_lite.store import read_card
 
 DITR, SENSOR = "ditr", "sensor"
 COMPARED = ("optical", "optical_valid", "geometric")  # where differences get an interval
-STAGE_ONE = ("iou", "miss_rate", "area_ratio")
+STAGE_ONE = ("iou", "miss_rate", "area_ratio")  # of every frame; PER_CLASS where the materials are known
 Result = dict[str, Any]  # of one frame, ready for JSON
 
 
@@ -53,9 +54,9 @@ def run_methods(
         One dictionary a frame: ``name``; ``methods``: name -> what ``metrics.evaluate`` gives, None where the method
         refused the frame, with the reason in ``refused``. Beside ``ditr`` and the baselines stands ``sensor``, the bare
         readings, scored only where there are any. ``stage_one``: IoU of the prediction before refinement, share of
-        the true region that is missed after it, area after it over that of the true region refined alike; None where
-        there is nothing to compare. ``kept``: whether every reading outside the region came back bit for bit.
-        ``protocol``: method -> scores, when one was asked for.
+        the true region that is missed after it, area after it over that of the true region refined alike, and IoU and
+        recall of each class where materials are known; None where there is nothing to compare. ``kept``: whether every
+        reading outside the region came back bit for bit. ``protocol``: method -> scores, when one was asked for.
 
     Raises:
         ValueError: for a frame without ground truth, or without a true region where that was to be given.
@@ -117,11 +118,14 @@ def stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | 
     frame = fit(sample.depth.shape, ditr.config.size)
     inside = frame.into(np.ones(sample.depth.shape, bool))  # not the padding
     refined = frame.back(ditr.refine(frame.into(sample.region)) & inside)
-    return {
+    scores = {
         "iou": metrics.iou(out.probability > 0.5, sample.region),
         "miss_rate": metrics.miss_rate(out.region, sample.region),
         "area_ratio": metrics.area_ratio(out.region, refined),
     }
+    if sample.material is not None:
+        scores |= class_scores(class_map(ditr, sample.rgb, sample.depth), sample.material)
+    return scores
 
 
 def kept_bit_for_bit(out: Completion, depth: np.ndarray) -> bool:
@@ -154,7 +158,7 @@ def summary(results: Sequence[Result], protocol: Protocol | None = None) -> dict
             for name in rmse
             if name != DITR
         },
-        "stage_one": {key: _interval(metrics.bootstrap_mean, [f[key] for f in found]) for key in STAGE_ONE},
+        "stage_one": {k: _interval(metrics.bootstrap_mean, [f.get(k) for f in found]) for k in STAGE_ONE + PER_CLASS},
         "kept": all(r["kept"] for r in results),
         "refused": {},
     }
@@ -185,9 +189,10 @@ def format_report(report: Mapping[str, Any], protocol: Protocol | None = None) -
         rows = {name: row or {} for name, row in report["protocol"].items()}
         lines += [f"As {protocol.name}'s code scores: {protocol.describe()}"]
         lines += [metrics.format_table(rows, protocol.sets)]
-    if report["stage_one"]["iou"] is not None:
-        figures = ", ".join(f"{key} {_text(report['stage_one'][key], 1, '.3f')}" for key in STAGE_ONE)
-        lines.append(f"stage one: {figures} (IoU before refinement, the others after it)")
+    one = report["stage_one"]
+    if one["iou"] is not None:
+        figures = {key: f"{key} {_text(one[key], 1, '.3f')}" for key in STAGE_ONE + PER_CLASS if one.get(key)}
+        lines.append("stage one: " + ", ".join(figures.values()) + " (miss_rate and area_ratio after refinement)")
     lines.append(f"{SENSOR} = bare readings, scored only where there are any; all others are dense")
     lines.append("readings outside the region: " + ("kept bit for bit" if report["kept"] else "CHANGED, a defect"))
     for name, reasons in report["refused"].items():

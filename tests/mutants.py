@@ -356,7 +356,45 @@ PARTITION = [
     ),
 ]
 
-MUTANTS: list[Mutant] = [*SCHEDULE, *DIFFUSION, *AUTOENCODER, *ATTENTION, *METRICS, *PARTITION]
+REGION = [
+    *family(
+        "learning rates (S3)",
+        "region_training",
+        ("cosine: whole period", "math.cos(math.pi * p)", "math.cos(2 * math.pi * p)"),
+        ("cosine: not halved", "(1 + math.cos(math.pi * p)) / 2", "(1 + math.cos(math.pi * p))"),
+        ("exponential: rises", "math.exp(-fall * p)", "math.exp(fall * p)"),
+        ("exponential: dropped", " * math.exp(-fall * p)", ""),
+        ("TROSNet: sign of the fall", "0.001 - 0.0004 * fallen", "0.001 + 0.0004 * fallen"),
+        ("TROSNet: period", "iteration / 228", "iteration / 150"),
+        ("unknown pixels scored", "batch.gt_known[:, 0] > 0", "batch.gt_known[:, 0] >= 0"),
+    ),
+    *family(
+        "soft region (S4)",
+        "finetune",
+        ("threshold: at 0", "torch.sigmoid(steepness * (x - 0.5))", "torch.sigmoid(steepness * x)"),
+        ("vote: no threshold", "x = threshold(F.avg_pool2d(", "x = (F.avg_pool2d("),
+        ("vote: border of zeros", 'mode="replicate"', 'mode="constant"'),
+        ("dilation: once", "range(refine.iterations if", "range(1 if"),
+        ("straight-through: soft values", "return hard + (soft - soft.detach())", "return soft"),
+        ("straight-through: no gradient", "return hard + (soft - soft.detach())", "return hard"),
+        ("composition: parts swapped", "region * optical + (1 - region)", "(1 - region) * optical + region"),
+        ("composition: holes kept", "torch.where(valid > 0, depth_n, geometric)", "depth_n"),
+        ("RMSE: not in metres", "((depth_n - batch.gt_n) * batch.scale_m)", "(depth_n - batch.gt_n)"),
+        ("RMSE: unknown truth scored", ".square() * batch.gt_known", ".square()"),
+        ("weight dropped", "total = segmentation + rmse_weight * rmse", "total = segmentation + rmse"),
+        ("paintings not mirrored", "both.flip(3)", "both"),
+    ),
+    *family(
+        "prices of mistakes",
+        "region_scores",
+        ("missed: false alarms", "known & sample.region & ~region\n", "known & ~sample.region & region\n"),
+        ("discarded: holes too", "~sample.region & (sample.depth > 0)", "~sample.region"),
+        ("price: sign", "(error - base)[pixels]", "(base - error)[pixels]"),
+        ("recall: by name", "metrics.miss_rate(found > 0,", "metrics.miss_rate(found == code,"),
+    ),
+]
+
+MUTANTS: list[Mutant] = [*SCHEDULE, *DIFFUSION, *AUTOENCODER, *ATTENTION, *METRICS, *PARTITION, *REGION]
 
 
 def mutate(source: str, mutant: Mutant) -> str:

@@ -1,10 +1,11 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ditr_lite import baselines, datasets, evaluation, latency, metrics, pipeline, store
+from ditr_lite import baselines, datasets, evaluation, latency, metrics, pipeline, region_scores, store
 from ditr_lite.config import preset
 from ditr_lite.data import Sample
 from ditr_lite.evaluation import format_report, run_methods, summary, to_json
@@ -99,6 +100,22 @@ def test_stage_one_figures():
     assert np.isclose(found["iou"], 20 / 22) and found["miss_rate"] == 0
     refined = FakeDitr().refine(make_sample().region)
     assert np.isclose(found["area_ratio"], 16 * 22 / refined.sum()) and refined.sum() > 16 * 20
+
+
+def test_classes_are_scored_where_materials_are_known(tiny):
+    sample = make_sample()
+    glass = replace(sample, material=sample.region.astype(np.uint8))
+    results = run_methods([sample, glass], tiny, {}, steps=1, samples_per_frame=1, progress=False)
+    assert set(results[0]["stage_one"]) == set(evaluation.STAGE_ONE)
+    found = region_scores.class_map(tiny, glass.rgb, glass.depth)
+    scores = region_scores.class_scores(found, glass.material)
+    assert {k: results[1]["stage_one"][k] for k in scores} == scores
+    report = summary(results)
+    assert report["stage_one"]["recall_transparent"] == [scores["recall_transparent"]] * 3
+    assert report["stage_one"]["iou_reflective"] is None  # there was none
+    text = format_report(report)
+    assert "recall_transparent" in text and "iou_reflective" not in text
+    assert "transparent" not in format_report(summary(results[:1]))
 
 
 def test_a_reading_that_changed_by_one_bit_is_noticed():
@@ -240,3 +257,10 @@ def test_real_cleargrasp_frame(tiny):
     raw = results[0]["methods"]["sensor"]["optical_valid"]
     assert np.isclose(raw["mae"], 0.016, atol=1e-3) and results[0]["kept"]
     assert results[0]["protocol"]["raw"]["optical"]["n"] < results[0]["methods"]["raw"]["optical"]["n"] / 20
+
+
+@needs_real
+def test_real_cleargrasp_frames_have_one_class(tiny):
+    frame = datasets.ClearGrasp(REAL / "cleargrasp_d435")["000000123"]
+    (result,) = run_methods([frame], tiny, {}, steps=1, samples_per_frame=1, progress=False)
+    assert 0 <= result["stage_one"]["recall_transparent"] <= 1 and result["stage_one"]["iou_reflective"] is None

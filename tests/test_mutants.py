@@ -25,6 +25,9 @@ FORMULAS = {  # each has its own family of mistakes
     "protocols",
     "partition (Eq. 1-2)",
     "labels and parallax",
+    "learning rates (S3)",
+    "soft region (S4)",
+    "prices of mistakes",
     "shadows measured",
     "loss types guessed",
 }

@@ -1,6 +1,7 @@
 """tools/: student copies lose exactly the solutions; the book has every page, linked, with alternative text."""
 
 import importlib.util
+import json
 from pathlib import Path
 
 import nbformat
@@ -18,7 +19,7 @@ def load(name):
     return module
 
 
-book, students = load("book"), load("student_copy")
+book, students, study = load("book"), load("student_copy"), load("region_study")
 
 SOLVED = """def rmse(a, b):
     \"\"\"Root mean square error.\"\"\"
@@ -107,6 +108,29 @@ def test_book_links_every_page_and_carries_alternative_text(tmp_path):
     page = (tmp_path / "book" / "07_metrics.html").read_text()
     assert 'alt="two rising curves"' in page
     assert 'href="08_ablations.html#top"' in page and ".ipynb#top" not in page
+
+
+def test_region_study_tables_have_intervals_and_every_scene():
+    rows = {"a": [{"x_m": 0.02, "y_m": None}], "b": [{"x_m": 0.04, "y_m": None}]}
+    table = study._table(rows, ["-1"], ("x_m", "y_m"))
+    assert table["-1"]["x_m"]["scenes"] == [0.02, 0.04] and table["-1"]["x_m"]["mean"][0] == pytest.approx(0.03)
+    assert table["-1"]["y_m"] == {"mean": None, "scenes": [None, None]}
+
+
+def test_region_study_has_a_control_and_both_ends():
+    assert [name for name, (weight, _) in study.VARIANTS.items() if weight == 0] == ["segmentation loss alone"]
+    kernels = {(r.median, r.dilate, r.iterations) for r in study.SETTINGS}
+    assert {(0, 0, 0), (7, 5, 3)} <= kernels and 0 in study.OFFSETS and min(study.OFFSETS) < 0 < max(study.OFFSETS)
+
+
+def test_region_results_are_complete():
+    result = json.loads((ROOT / "ditr_lite" / "weights" / "results_region.json").read_text())
+    assert result["command"].startswith("python tools/region_study.py") and set(result["weights_sha256"]) >= {"region"}
+    assert set(result["errors"]) == {str(k) for k in study.OFFSETS} and "7/5/3" in result["refinement"]
+    for name in study.VARIANTS:
+        run = result["finetuning"][name]
+        assert len(run["after"]["optical_m"]) == len(result["names"])
+    assert "-1" in study.report(result)
 
 
 def test_the_paper_map_is_written_and_checked(tmp_path, monkeypatch, capsys):
