@@ -119,9 +119,7 @@ def train(args: Namespace) -> None:
     if args.part not in ("all", *fitting.PARTS):
         raise ValueError(f"unknown part {args.part!r}; choose all or one of {', '.join(fitting.PARTS)}")
     config = override(preset(args.preset), **dict(_setting(text) for text in args.set))
-    for folder, command in ((args.data, MAKE_TRAIN), (args.val, MAKE_VAL)):
-        if not any(Path(folder).glob("*/meta.json")):
-            raise ValueError(f"no scenes in {folder}: make them with `{command}`")
+    _check_scenes(args)
     # Only the plain lite preset goes where the shipped weights and their checkpoints are.
     tag = args.preset + ("-changed" if args.set else "")
     out = args.out or (WEIGHTS if tag == "lite" else Path("outputs/weights") / tag)
@@ -135,6 +133,31 @@ def train(args: Namespace) -> None:
         last = {k: v for k, v in (notes["curve"] or [{}])[-1].items() if k.startswith("val_")}
         figures = ", ".join(f"{k.removeprefix('val_')} {v:.4f}" for k, v in last.items())
         print(f"{Path(out) / part}.safetensors: {notes['steps']} steps, {notes['seconds']:.0f} s; {figures}")
+
+
+def train_boundary(args: Namespace) -> None:
+    """Train the learned boundary backend and write its weights and its entry in the card."""
+    from ditr_lite.boundary_training import train_boundary as run
+    from ditr_lite.store import WEIGHTS
+
+    _check_scenes(args)
+    out, changes = args.out or WEIGHTS, {k: v for k in ("steps", "batch", "lr") if (v := getattr(args, k)) is not None}
+    notes = run(args.data, args.val, out, args.work, args.limit, args.seed, **changes)
+    figures = "; ".join(f"{m} F {notes[m]['val_f']:.3f} at threshold {notes[m]['threshold']}" for m in ("rgb", "depth"))
+    print(f"{out / 'boundary'}.safetensors: {figures} (validation)")
+
+
+def bench_boundary(args: Namespace) -> None:
+    """Score every boundary backend against the exact outlines of rendered scenes, and print the table."""
+    _check_target(args.json, ".json")
+    from ditr_lite import boundary_scoring
+
+    _, frames = _frames(args)
+    _, tuning = _frames(Namespace(split="train", root=args.root, limit=None))
+    results = boundary_scoring.bench(frames, tuning, args.tolerance, args.weights, args.sam)
+    print(boundary_scoring.format_table(results["summary"]))
+    if args.json:
+        write_json(args.json, {"command": _line(args), "split": args.split, **results})
 
 
 def write_json(path: Path | str, values: Any) -> None:
@@ -190,6 +213,12 @@ def _frames(args: Namespace) -> tuple[str, _First]:
     if frames[0].depth_gt is None:
         raise ValueError(f"{args.dataset} in {args.root} has no ground-truth depth: nothing to score; see `complete`")
     return f"{args.dataset} in {args.root}{f', split {args.split}' if args.split else ''}", frames
+
+
+def _check_scenes(args: Namespace) -> None:
+    for folder, command in ((args.data, MAKE_TRAIN), (args.val, MAKE_VAL)):
+        if not any(Path(folder).glob("*/meta.json")):
+            raise ValueError(f"no scenes in {folder}: make them with `{command}`")
 
 
 def _load(args: Namespace):
