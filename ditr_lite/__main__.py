@@ -123,9 +123,11 @@ def _train_boundary(p: Parser) -> None:
     p.add_argument("--val", type=Path, default=Path("data_samples/val"), help="scenes to validate on (%(default)s)")
     p.add_argument("--out", type=Path, help="weights folder (default: the shipped one)")
     p.add_argument("--work", type=Path, default=Path("outputs/training"), help="for checkpoints and logs (%(default)s)")
-    p.add_argument("--steps", type=int, help="steps of each network instead of the recipes'")
-    p.add_argument("--batch", type=int, help="frames a step instead of the recipes'")
-    p.add_argument("--lr", type=float, help="peak learning rate instead of the recipes'")
+    p.add_argument(
+        "--steps", type=int, help="steps of the colour network instead of the recipe's; the depth network takes a third"
+    )
+    p.add_argument("--batch", type=int, help="frames a step instead of the recipe's")
+    p.add_argument("--lr", type=float, help="peak learning rate instead of the recipe's")
     p.add_argument("--limit", type=int, help="use only the first scenes")
     p.add_argument("--seed", type=int, default=0, help="of everything random (%(default)s)")
 

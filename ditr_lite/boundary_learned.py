@@ -7,14 +7,15 @@ validation split, and thinned, that is a map one pixel wide. ``boundary_training
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
-from skimage.morphology import skeletonize
 from torch import Tensor, nn
 
 from .boundary_classical import drop_small, is_depth
 from .conditioning import depth_bounds, to_tensor
+from .region import Encoder
 from .store import load_part
 
 MODES = {"rgb": 3, "depth": 3}  # input channels
@@ -23,26 +24,8 @@ MULTIPLE = 2**LEVELS  # of H and W
 RELIEF = 8.0  # gain: a step of a centimetre is a few hundredths of a network unit
 
 
-class Block(nn.Module):
-    """Two 3x3 convolutions around a shortcut."""
-
-    def __init__(self, channels_in: int, channels: int):
-        super().__init__()
-        self.first = nn.Sequential(
-            nn.Conv2d(channels_in, channels, 3, padding=1, bias=False), nn.GroupNorm(8, channels), nn.ReLU()
-        )
-        self.second = nn.Sequential(
-            nn.Conv2d(channels, channels, 3, padding=1, bias=False), nn.GroupNorm(8, channels), nn.ReLU()
-        )
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Map (B, Cin, h, w) to (B, C, h, w)."""
-        x = self.first(x)
-        return x + self.second(x)
-
-
 class BoundaryNet(nn.Module):
-    """A U-Net whose finest level is half the image's size: pixels are folded into channels, and unfolded at the end.
+    """A U-Net with stage one's encoder, whose last step also sees the pixels themselves, folded into channels.
 
     Args:
         channels_in: of the image.
@@ -53,26 +36,51 @@ class BoundaryNet(nn.Module):
     def __init__(self, channels_in: int, width: int = WIDTH, levels: int = LEVELS):
         super().__init__()
         widths = [width * 2**k for k in range(levels)]
-        self.down = nn.ModuleList(Block(a, b) for a, b in zip([4 * channels_in, *widths[:-1]], widths, strict=True))
-        self.up = nn.ModuleList(Block(3 * w, w) for w in reversed(widths[:-1]))
-        self.out = nn.Conv2d(width, 4, 1)
+        self.encoder = Encoder(channels_in, width, levels)
+        self.decode = nn.ModuleList(_conv(3 * w, w) for w in reversed(widths[:-1]))
+        self.last = _conv(width + 4 * channels_in, 2 * width)
+        self.out = nn.Conv2d(2 * width, 4, 1)
         nn.init.constant_(self.out.bias, -3.0)  # boundaries are rare: begin with 5 %, not with one half
 
     def forward(self, image: Tensor) -> Tensor:
         """Return logits (B, 1, H, W) of "a boundary lies within a pixel" for (B, C, H, W), multiples of 16."""
-        x, skips = F.pixel_unshuffle(image, 2), []  # (B, C, H, W) -> (B, 4C, H/2, W/2)
-        for i, block in enumerate(self.down):
-            x = block(F.max_pool2d(x, 2) if i else x)
-            skips.append(x)
-        x = skips.pop()
-        for block in self.up:
-            x = block(torch.cat([F.interpolate(x, scale_factor=2.0, mode="nearest"), skips.pop()], dim=1))
+        *finer, x = self.encoder(image)
+        for decode, fine in zip(self.decode, reversed(finer), strict=True):
+            x = decode(torch.cat([F.interpolate(x, scale_factor=2.0, mode="nearest"), fine], dim=1))
+        x = self.last(torch.cat([x, F.pixel_unshuffle(image, 2)], dim=1))  # (B, 4C, H/2, W/2) of pixels
         return F.pixel_shuffle(self.out(x), 2)
+
+
+def _conv(channels_in: int, channels: int) -> nn.Sequential:
+    conv = nn.Conv2d(channels_in, channels, 3, padding=1, bias=False)
+    return nn.Sequential(conv, nn.GroupNorm(8, channels), nn.ReLU())
 
 
 def build() -> nn.ModuleDict:
     """Return the two untrained networks, ``rgb`` and ``depth``."""
     return nn.ModuleDict({mode: BoundaryNet(channels) for mode, channels in MODES.items()})
+
+
+def begin_with_stage_one(nets: nn.ModuleDict, region: dict[str, Tensor]) -> None:
+    """Copy stage one's two encoders, which have learned to tell glass from table, into the networks.
+
+    Args:
+        nets: from :func:`build`; changed in place. The depth network's third channel, relief, begins with zeros.
+        region: the tensors of ``region.safetensors``.
+
+    Raises:
+        ValueError: when stage one has other sizes.
+    """
+    for mode, net in nets.items():
+        own, start = net.encoder.state_dict(), f"encoder_{mode}."
+        given = {k.removeprefix(start): v.clone() for k, v in region.items() if k.startswith(start)}
+        for key in own.keys() & given.keys():
+            if (more := own[key].ndim == 4 and own[key].shape[1] - given[key].shape[1]) > 0:
+                given[key] = F.pad(given[key], (0, 0, 0, 0, 0, more))
+        try:
+            net.encoder.load_state_dict(given)
+        except RuntimeError:  # torch's message is a page of tensor names
+            raise ValueError("stage one's encoders are of other sizes: boundaries are trained beside lite") from None
 
 
 def depth_image(depth_n: Tensor, valid: Tensor) -> Tensor:
@@ -91,14 +99,25 @@ def depth_image(depth_n: Tensor, valid: Tensor) -> Tensor:
 
 
 def thin(probability: np.ndarray, threshold: float, min_length: int = 8) -> np.ndarray:
-    """Return (H, W) bool: the middle lines of what exceeds ``threshold``, without pieces under ``min_length`` pixels.
+    """Return (H, W) bool: the ridges of what exceeds ``threshold``, without pieces under ``min_length`` pixels.
+
+    Non-maximum suppression as in Canny's detector, for ridges instead of slopes: a pixel stays when it is not lower
+    than both its neighbours in the direction (of four) in which the smoothed map is curved most.
 
     Args:
-        probability: (H, W) float.
+        probability: (H, W) float32.
         threshold: between 0 and 1.
         min_length: pixels.
     """
-    return drop_small(skeletonize(probability > threshold), min_length)
+    smooth = cv2.GaussianBlur(np.asarray(probability, np.float32), (0, 0), 1.0)
+    xx, yy, xy = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((2, 0), (0, 2), (1, 1)))
+    across = 0.5 * np.arctan2(2 * xy, xx - yy) + np.pi / 2  # axis of the most negative curvature
+    direction = np.rint(across / (np.pi / 4)).astype(int) % 4
+    ridge, (h, w), padded = np.zeros(smooth.shape, bool), smooth.shape, np.pad(smooth, 1, mode="edge")
+    for k, (dx, dy) in enumerate(((1, 0), (1, 1), (0, 1), (-1, 1))):
+        after, before = (padded[1 + s * dy : 1 + s * dy + h, 1 + s * dx : 1 + s * dx + w] for s in (1, -1))
+        ridge |= (direction == k) & (smooth >= after) & (smooth > before)
+    return drop_small(ridge & (smooth > threshold), min_length)
 
 
 class LearnedBoundary:

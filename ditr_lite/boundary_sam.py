@@ -60,7 +60,7 @@ def suppress(masks: np.ndarray, scores: np.ndarray, max_overlap: float = 0.7) ->
     """
     if masks.ndim != 3 or scores.shape != masks.shape[:1]:
         raise ValueError(f"expected masks (N, H, W) and scores (N,), got {masks.shape} and {scores.shape}")
-    flat = masks.reshape(len(masks), -1)
+    flat = masks.reshape(len(masks), masks.shape[1] * masks.shape[2])
     area, left, kept = flat.sum(axis=1), np.argsort(-scores, kind="stable"), []
     while left.size:
         best, left = left[0], left[1:]

@@ -12,18 +12,16 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ditr_lite.boundary import precision_recall_f
-from ditr_lite.boundary_learned import build, depth_image, thin
+from ditr_lite.boundary_learned import begin_with_stage_one, build, depth_image, thin
 from ditr_lite.boundary_scoring import true_maps
 from ditr_lite.config import from_dict, preset
 from ditr_lite.data import read_sample
 from ditr_lite.scenedata import Scenes, draw, load_scenes
-from ditr_lite.store import CARD, read_card, save_part
+from ditr_lite.store import CARD, load_part, read_card, save_part
 from ditr_lite.training import Recipe, fit
 
-RECIPES = {
-    "rgb": Recipe(steps=900, batch=8, lr=4e-3, warmup=30, decay=0.99),
-    "depth": Recipe(steps=400, batch=8, lr=4e-3, warmup=30, decay=0.99),
-}
+RECIPE = Recipe(steps=3000, batch=8, lr=3e-3, warmup=30, decay=0.99)
+DEPTH_SHARE = 1 / 3  # of the steps, for the depth network: there is less to see in depth
 VALIDATE = 24  # scenes on which the thresholds are chosen
 CROP = (96, 128)  # pixels of a frame that a step looks at: outlines are everywhere, so many small views teach more
 THRESHOLDS = (0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)
@@ -56,17 +54,31 @@ def boundary_step(
 
     def step_loss(step: int) -> dict[str, Tensor]:
         rng = np.random.default_rng([seed, step])
-        batch = draw(scenes, rng.integers(0, len(scenes), recipe.batch), rng, colour=mode == "rgb")
-        x = batch.rgb if mode == "rgb" else depth_image(batch.depth_n, batch.valid)
-        near = F.max_pool2d(batch.guide_rgb if mode == "rgb" else batch.guide_da, 3, 1, 1)  # diagonals too
-        top, left = (int(rng.integers(0, n - c + 1)) for n, c in zip(x.shape[2:], CROP, strict=True))
-        x, near, known = (
-            a[..., top : top + CROP[0], left : left + CROP[1]].contiguous(memory_format=torch.channels_last)
-            for a in (x, near, batch.gt_known)
-        )
-        return {"total": F.binary_cross_entropy_with_logits(model(x), near, known)}
+        index = rng.integers(0, len(scenes), recipe.batch)
+        top, left = (int(rng.integers(0, n - c + 1)) for n, c in zip(scenes.depth.shape[1:], CROP, strict=True))
+        here = np.s_[..., top : top + CROP[0], left : left + CROP[1]]
+        if mode == "rgb":  # colours are costly to vary: cut first
+            batch = draw(_cut(scenes, index, here), np.arange(recipe.batch), rng)
+            x, near, known = batch.rgb, _near(batch.guide_rgb), batch.gt_known
+        else:  # the bounds are those of the whole frame: cut last
+            batch = draw(scenes, index, rng, colour=False)
+            x, near, known = depth_image(batch.depth_n[here], batch.valid[here]), batch.guide_da[here], batch.gt_known
+            near, known = _near(near), known[here]
+        logits = model(x.contiguous(memory_format=torch.channels_last))
+        return {"total": F.binary_cross_entropy_with_logits(logits, near, known)}
 
     return step_loss
+
+
+def _near(boundary: Tensor) -> Tensor:
+    return F.max_pool2d(boundary, 3, 1, 1)  # within a pixel, diagonals too
+
+
+def _cut(scenes: Scenes, index: np.ndarray, here: tuple) -> Scenes:
+    """Return a window of some scenes; its raw depth is all one, because nothing will look at it."""
+    rgb = scenes.rgb[index][:, *here[1:]]
+    maps = {k: getattr(scenes, k)[index][here] for k in ("depth_gt", "material", "guides")}
+    return Scenes([scenes.names[i] for i in index], rgb, np.full(rgb.shape[:3], 1000, np.uint16), **maps)
 
 
 @torch.no_grad()
@@ -105,10 +117,10 @@ def train_boundary(
         data: folder of rendered scenes to train on.
         val: folder of rendered scenes on which the thresholds are chosen.
         out: weights folder; the card's other entries stay.
-        work: folder for checkpoints and logs.
+        work: folder for checkpoints and logs. Where ``out`` holds stage one, the encoders begin with its.
         limit: use only the first scenes.
         seed: of everything random.
-        changes: ``steps``, ``batch``, ``lr`` instead of the recipes'.
+        changes: ``steps``, ``batch``, ``lr`` instead of the recipe's; the depth network takes a third of the steps.
 
     Returns:
         the entry of the card.
@@ -117,10 +129,13 @@ def train_boundary(
     scenes, held_out = (with_outlines(load_scenes(f, n), f) for f, n in ((data, limit), (val, VALIDATE)))
     torch.manual_seed(seed)
     nets, notes, thresholds = build().to(memory_format=torch.channels_last), {}, []
-    for channel, (mode, recipe) in enumerate(RECIPES.items()):
-        recipe = replace(recipe, **changes)
+    if (out / "region.safetensors").is_file():
+        begin_with_stage_one(nets, load_part("region", out))
+    colour = replace(RECIPE, **changes)
+    depth = replace(colour, steps=max(1, round(colour.steps * DEPTH_SHARE)))
+    for channel, (mode, recipe) in enumerate((("rgb", colour), ("depth", depth))):
         step = boundary_step(mode, nets[mode], scenes, recipe, seed)
-        notes[mode] = fit(f"boundary-{mode}", nets[mode], step, recipe, work, every=300, seed=seed)
+        notes[mode] = fit(f"boundary-{mode}", nets[mode], step, recipe, work, every=100, seed=seed)
         found = probabilities(mode, nets[mode].eval(), held_out)
         cut, score = best_threshold(found, [g[channel] > 0 for g in held_out.guides])
         notes[mode] |= {"recipe": vars(recipe), "threshold": cut, "val_f": round(score, 4)}
