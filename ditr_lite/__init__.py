@@ -57,6 +57,7 @@ MODULES = (
     "checks",
     "checks_diffusion",
     "checks_pipeline",
+    "checks_boundary",
     "commands",
 )
 

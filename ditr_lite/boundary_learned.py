@@ -102,7 +102,8 @@ def thin(probability: np.ndarray, threshold: float, min_length: int = 8) -> np.n
     """Return (H, W) bool: the ridges of what exceeds ``threshold``, without pieces under ``min_length`` pixels.
 
     Non-maximum suppression as in Canny's detector, for ridges instead of slopes: a pixel stays when it is not lower
-    than both its neighbours in the direction (of four) in which the smoothed map is curved most.
+    than both its neighbours in the direction (of four) in which the smoothed map is curved most. Slanted lines come out
+    up to two pixels wide.
 
     Args:
         probability: (H, W) float32.
