@@ -23,6 +23,7 @@ FORMULAS = {  # each has its own family of mistakes
     "averages and intervals",
     "partition (Eq. 1-2)",
     "labels and parallax",
+    "depth-aware map (I4)",
 }
 
 
