@@ -59,6 +59,7 @@ MODULES = (
     "checks_pipeline",
     "checks_boundary",
     "commands",
+    "boundary_commands",
 )
 
 # The names that need no module in front of them.

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from ditr_lite import commands
+from ditr_lite import boundary_commands, commands
 
 DATASETS = ("cleargrasp", "todd", "std", "trosd", "transcg")
 BAD_INPUT = (ValueError, OSError, ImportError)  # OSError: files that are absent, unreadable, or cannot be written
@@ -59,7 +59,8 @@ def parser() -> Parser:
     for name, (add, text) in adders.items():
         sub = which.add_parser(name, help=text, description=text)
         add(sub)
-        sub.set_defaults(run=getattr(commands, name.replace("-", "_")))
+        module = boundary_commands if name.endswith("-boundary") else commands
+        sub.set_defaults(run=getattr(module, name.replace("-", "_")))
     return top
 
 

@@ -135,31 +135,6 @@ def train(args: Namespace) -> None:
         print(f"{Path(out) / part}.safetensors: {notes['steps']} steps, {notes['seconds']:.0f} s; {figures}")
 
 
-def train_boundary(args: Namespace) -> None:
-    """Train the learned boundary backend and write its weights and its entry in the card."""
-    from ditr_lite.boundary_training import train_boundary as run
-    from ditr_lite.store import WEIGHTS
-
-    _check_scenes(args)
-    out, changes = args.out or WEIGHTS, {k: v for k in ("steps", "batch", "lr") if (v := getattr(args, k)) is not None}
-    notes = run(args.data, args.val, out, args.work, args.limit, args.seed, **changes)
-    figures = "; ".join(f"{m} F {notes[m]['val_f']:.3f} at threshold {notes[m]['threshold']}" for m in ("rgb", "depth"))
-    print(f"{out / 'boundary'}.safetensors: {figures} (validation)")
-
-
-def bench_boundary(args: Namespace) -> None:
-    """Score every boundary backend against the exact outlines of rendered scenes, and print the table."""
-    _check_target(args.json, ".json")
-    from ditr_lite import boundary_scoring
-
-    _, frames = _frames(args)
-    _, tuning = _frames(Namespace(split="train", root=args.root, limit=None))
-    results = boundary_scoring.bench(frames, tuning, args.tolerance, args.weights, args.sam)
-    print(boundary_scoring.format_table(results["summary"]))
-    if args.json:
-        write_json(args.json, {"command": _line(args), "split": args.split, **results})
-
-
 def write_json(path: Path | str, values: Any) -> None:
     """Write ``values`` as JSON, whole or not at all.
 
