@@ -12,6 +12,7 @@ from typing import NoReturn
 from ditr_lite import boundary_commands, commands
 
 DATASETS = ("cleargrasp", "todd", "std", "trosd", "transcg")
+PROTOCOLS = ("cleargrasp", "lidf", "transparenet", "dfnet", "swindrnet", "d3roma", "marigold")
 BAD_INPUT = (ValueError, OSError, ImportError)  # OSError: files that are absent, unreadable, or cannot be written
 
 
@@ -84,6 +85,9 @@ def _evaluate(p: Parser) -> None:
     p.add_argument("--dataset", choices=DATASETS, help="a real dataset instead of the rendered scenes")
     p.add_argument("--root", type=Path, help="the folder that holds the dataset (or other rendered scenes)")
     p.add_argument("--split", help="of the scenes: test (default), val, train; of a dataset: its own")
+    p.add_argument(
+        "--protocol", choices=PROTOCOLS, help="also score as that code does (cleargrasp's dataset: cleargrasp)"
+    )
     _scoring(p)
 
 

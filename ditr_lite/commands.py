@@ -55,15 +55,16 @@ def evaluate(args: Namespace) -> None:
     source, frames = _frames(args)
     from ditr_lite import evaluation, protocols
 
-    protocol = protocols.CLEARGRASP if args.dataset == "cleargrasp" else None
+    name = args.protocol or ("cleargrasp" if args.dataset == "cleargrasp" else None)
+    protocol = protocols.PROTOCOLS.get(name)
     results = evaluation.run_methods(
         frames, _load(args), None, args.given_region, args.steps, args.samples, protocol=protocol
     )
     print(f"{source}, region {'given' if args.given_region else 'found by stage one'}")
-    print(evaluation.format_report(evaluation.summary(results), protocol))
+    print(evaluation.format_report(evaluation.summary(results, protocol), protocol))
     if args.json:
         notes = {"source": source, "given_region": args.given_region, "steps": args.steps, "samples": args.samples}
-        write_json(args.json, evaluation.to_json(results, _line(args), args.weights, **notes))
+        write_json(args.json, evaluation.to_json(results, _line(args), args.weights, protocol, **notes))
 
 
 def bench(args: Namespace) -> None:

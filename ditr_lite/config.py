@@ -107,7 +107,7 @@ PRESETS: dict[str, Config] = {
     "paper": Config(
         name="paper",
         size=(736, 1280),  # 1280 x 720 (Table VI), padded to a multiple of 32
-        region=RegionConfig(width=32, levels=4),
+        region=RegionConfig(width=16, levels=4),  # of all powers of two nearest to the 16 GFLOPs of Table VI
         autoencoder=AutoencoderConfig(latent_channels=3, codes=8192, width=128, multipliers=(2, 4), res_blocks=2),
         unet=UNetConfig(width=64, block="plain", cond_channels=64, heads=1, anchor=False),
         detail=DetailConfig(width=0),

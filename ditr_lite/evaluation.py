@@ -5,7 +5,7 @@ keep, would be compared on other terms; so each gets DITR's region and its resul
 """
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -130,8 +130,8 @@ def kept_bit_for_bit(out: Completion, depth: np.ndarray) -> bool:
     return np.array_equal(out.depth[keep].view(np.uint32), depth[keep].view(np.uint32))
 
 
-def summary(results: Sequence[Result]) -> dict[str, Any]:
-    """Condense :func:`run_methods`' results.
+def summary(results: Sequence[Result], protocol: Protocol | None = None) -> dict[str, Any]:
+    """Condense :func:`run_methods`' results; ``protocol`` says how its scores are averaged.
 
     Returns:
         ``images``; ``methods``: name -> ``metrics.average``, None where all frames were refused; ``differences``:
@@ -148,7 +148,7 @@ def summary(results: Sequence[Result]) -> dict[str, Any]:
     found = [r["stage_one"] for r in results if r["stage_one"]]
     out = {
         "images": len(results),
-        "methods": _averages(results, "methods"),
+        "methods": _averages(results, "methods", metrics.average),
         "differences": {
             name: {key: _interval(metrics.paired_bootstrap, rmse[DITR][key], rmse[name][key]) for key in COMPARED}
             for name in rmse
@@ -161,7 +161,9 @@ def summary(results: Sequence[Result]) -> dict[str, Any]:
     for name in results[0]["methods"]:
         if reasons := Counter(r["refused"][name] for r in results if name in r["refused"]):
             out["refused"][name] = dict(reasons)
-    return out | ({"protocol": _averages(results, "protocol")} if "protocol" in results[0] else {})
+    if "protocol" in results[0]:
+        out["protocol"] = _averages(results, "protocol", protocol.average if protocol else metrics.average)
+    return out
 
 
 def format_report(report: Mapping[str, Any], protocol: Protocol | None = None) -> str:
@@ -181,9 +183,8 @@ def format_report(report: Mapping[str, Any], protocol: Protocol | None = None) -
     lines.append("")
     if protocol is not None and "protocol" in report:
         rows = {name: row or {} for name, row in report["protocol"].items()}
-        height, wide = protocol.size
-        lines += [f"As {protocol.name}'s code scores (region only, {wide} x {height} by nearest, mean over frames)"]
-        lines += [metrics.format_table(rows, ["optical"])]
+        lines += [f"As {protocol.name}'s code scores: {protocol.describe()}"]
+        lines += [metrics.format_table(rows, protocol.sets)]
     if report["stage_one"]["iou"] is not None:
         figures = ", ".join(f"{key} {_text(report['stage_one'][key], 1, '.3f')}" for key in STAGE_ONE)
         lines.append(f"stage one: {figures} (IoU before refinement, the others after it)")
@@ -194,13 +195,20 @@ def format_report(report: Mapping[str, Any], protocol: Protocol | None = None) -
     return "\n".join(lines)
 
 
-def to_json(results: Sequence[Result], command: str, weights: Path | str | None = None, **notes: Any) -> Result:
+def to_json(
+    results: Sequence[Result],
+    command: str,
+    weights: Path | str | None = None,
+    protocol: Protocol | None = None,
+    **notes: Any,
+) -> Result:
     """Return what a committed result file holds: command, checksums of the weights, summary, RMSE of every frame.
 
     Args:
         results: of :func:`run_methods`.
         command: that made them.
         weights: folder of the weights; None for the shipped ones.
+        protocol: the one that they were scored with, if any.
         notes: anything else to write down, e.g. the split.
     """
     frames = {
@@ -208,12 +216,13 @@ def to_json(results: Sequence[Result], command: str, weights: Path | str | None 
         for r in results
     }
     checksums = {name: part["sha256"] for name, part in read_card(weights)["parts"].items()}
-    return {"command": command, "weights_sha256": checksums, **notes, "summary": summary(results), "rmse_m": frames}
+    condensed = summary(results, protocol)
+    return {"command": command, "weights_sha256": checksums, **notes, "summary": condensed, "rmse_m": frames}
 
 
-def _averages(results: Sequence[Result], key: str) -> dict[str, Any]:
+def _averages(results: Sequence[Result], key: str, average: Callable[[list], dict]) -> dict[str, Any]:
     scored = {name: [r[key][name] for r in results if r[key][name]] for name in results[0][key]}
-    return {name: metrics.average(rows) if rows else None for name, rows in scored.items()}
+    return {name: average(rows) if rows else None for name, rows in scored.items()}
 
 
 def _rmse(results: Sequence[Result], name: str, key: str) -> list[float | None]:

@@ -126,7 +126,7 @@ def validate_autoencoder(model: nn.Module, val: Scenes) -> dict[str, float]:
         holes = (1 - region) * (1 - batch.valid)
         for name, where in zip(total, (region, holes), strict=True):
             total[name] += _rmse(error, where * batch.gt_known)
-    return {k: float(np.nanmean(v)) for k, v in total.items()} | {"codes_in_use": model.quantizer.usage}
+    return {k: float(np.nanmean(v)) for k, v in total.items()} | {"codebook_perplexity_share": model.quantizer.usage}
 
 
 def validate_branch(branch: str, parts: nn.ModuleDict, val: Scenes, config: Config) -> dict[str, float]:
@@ -146,7 +146,7 @@ def validate_detail(model: nn.Module, painted, count: int) -> dict[str, float]:
         index = np.arange(start, min(start + 8, count))
         batch, decoded, region = painted(index, None)
         x = recipes.detail_input(decoded, batch.depth_n, batch.valid, region, batch.rgb, batch.guide_rgb)
-        for suffix, depth in (("_before_m", decoded), ("_m", decoded + model(x))):
+        for suffix, depth in (("_before_m", decoded), ("_m", model(x))):
             error = (depth - batch.gt_n) * batch.scale_m
             holes = (1 - region) * (1 - batch.valid)
             out[f"val_optical{suffix}"] += _rmse(error, region * batch.gt_known)

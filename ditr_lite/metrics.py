@@ -7,6 +7,7 @@ these divide by the number of pixels that have ground truth.
 
 import numpy as np
 
+from ditr_lite.audit import audit_table
 from ditr_lite.loss_types import check_depth, check_mask
 from ditr_lite.summaries import METRICS, SETS, Scores, average, bootstrap_mean, format_table, paired_bootstrap
 
@@ -15,6 +16,7 @@ __all__ = [
     "SETS",
     "Scores",
     "area_ratio",
+    "audit_table",
     "average",
     "bootstrap_mean",
     "crps",

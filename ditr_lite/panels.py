@@ -7,6 +7,7 @@ pixels without a value are grey, a colour in none of the maps, and their number 
 import base64
 import builtins
 from collections.abc import Mapping
+from functools import partial
 from io import BytesIO
 
 import matplotlib
@@ -81,26 +82,22 @@ def error(
     limit_mm: float | None = None,
     title: str = "",
     bar: bool = True,
+    signed: bool = False,
 ) -> AxesImage:
-    """Draw |depth - ground truth| in millimetres where both are known, 0 to ``limit_mm``; the title has the mean."""
-    difference, valid = difference_mm(depth_m, depth_gt)
-    mean = f"mean {np.abs(difference[valid]).mean():.1f} mm" if valid.any() else ""
-    title = "\n".join(filter(None, (title, mean)))
-    return _map(ax, "error", np.abs(difference), valid, (0, limit_mm or ERROR_MM), title, "unknown", bar)
+    """Draw |depth - ground truth| in millimetres where both are known, 0 to ``limit_mm``; the title has the mean.
 
-
-def signed_error(
-    ax: Axes,
-    depth_m: np.ndarray,
-    depth_gt: np.ndarray,
-    limit_mm: float | None = None,
-    title: str = "",
-    bar: bool = True,
-) -> AxesImage:
-    """Draw depth - ground truth in millimetres where both are known: red is too far, blue too near."""
+    ``signed`` keeps the sign and leaves the title alone: red is too far, blue too near.
+    """
     difference, valid = difference_mm(depth_m, depth_gt)
     limit = limit_mm or ERROR_MM
-    return _map(ax, "signed", difference, valid, (-limit, limit), title, "unknown", bar)
+    if signed:
+        return _map(ax, "signed", difference, valid, (-limit, limit), title, "unknown", bar)
+    mean = f"mean {np.abs(difference[valid]).mean():.1f} mm" if valid.any() else ""
+    title = "\n".join(filter(None, (title, mean)))
+    return _map(ax, "error", np.abs(difference), valid, (0, limit), title, "unknown", bar)
+
+
+signed_error = partial(error, signed=True)
 
 
 def spread(ax: Axes, std_m: np.ndarray, limit_mm: float | None = None, title: str = "", bar: bool = True) -> AxesImage:

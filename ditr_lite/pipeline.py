@@ -230,11 +230,14 @@ class Ditr:
     def sharpen(
         self, decoded: list[Tensor], image: Tensor, depth_n: Tensor, valid: Tensor, region: Tensor, boundary: Tensor
     ) -> list[Tensor]:
-        """Apply the finer final step to both branches, composed as they will be, so that it sees the seams."""
-        together = torch.where(region.to(self.device) > 0, *decoded)
-        x = detail_input(together, *self._put(depth_n, valid, region, image, boundary))
-        residual = self.parts["detail"](x)
-        return [d + residual for d in decoded]
+        """Apply the finer final step to the branches composed as they will be, each being returned where it is used.
+
+        Elsewhere a branch keeps what it had painted.
+        """
+        inside = region.to(self.device) > 0
+        together = torch.where(inside, *decoded)
+        finer = self.parts["detail"](detail_input(together, *self._put(depth_n, valid, region, image, boundary)))
+        return [torch.where(inside, finer, decoded[0]), torch.where(inside, decoded[1], finer)]
 
     def _put(self, *tensors: Tensor) -> list[Tensor]:
         return [t.to(self.device, memory_format=torch.channels_last) for t in tensors]

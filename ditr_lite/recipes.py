@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ditr_lite import diffusion
+from ditr_lite.augment import mistake, reframe
 from ditr_lite.autoencoder import VQAutoencoder, autoencoder_loss
 from ditr_lite.conditioning import condition, fill
 from ditr_lite.config import Config
@@ -22,14 +23,15 @@ from ditr_lite.schedule import make_schedule
 from ditr_lite.training import Recipe
 
 CLASS_WEIGHTS = (0.4, 1.0, 1.0)  # background, transparent, reflective
+REFRAME_ALL, REFRAME_SHARE = 1000, 0.3  # stage one: every batch is reframed up to this step, then this share of them
 StepLoss = Callable[[int], dict[str, Tensor]]
 
 RECIPES = {
     "autoencoder": Recipe(steps=3000, batch=16, lr=2e-3),
-    "region": Recipe(steps=1700, batch=8, lr=2e-3),
-    "optical": Recipe(steps=1700, batch=8, lr=1e-3),
-    "geometric": Recipe(steps=800, batch=8, lr=1e-3),
-    "detail": Recipe(steps=1200, batch=8, lr=2e-3),
+    "region": Recipe(steps=2800, batch=8, lr=2e-3, weight_decay=1e-2),
+    "optical": Recipe(steps=1500, batch=8, lr=1e-3),
+    "geometric": Recipe(steps=750, batch=8, lr=1e-3),
+    "detail": Recipe(steps=1000, batch=8, lr=2e-3),
 }
 
 
@@ -45,8 +47,12 @@ def region_step(model: nn.Module, scenes: Scenes, recipe: Recipe, seed: int = 0)
     def step_loss(step: int) -> dict[str, Tensor]:
         rng = rng_of(seed, step)
         batch = draw(scenes, rng.integers(0, len(scenes), recipe.batch), rng)
-        target = torch.where(batch.gt_known[:, 0] > 0, batch.material, IGNORE)
-        return region_loss(model(_cl(batch.rgb), batch.depth_n, batch.valid), target, weight)
+        rgb, maps = batch.rgb, [batch.depth_n, batch.valid, batch.material[:, None].float(), batch.gt_known]
+        if step < REFRAME_ALL or rng.random() < REFRAME_SHARE:  # variety first, then frames as they will be met
+            rgb, maps = reframe(rgb, maps, rng)
+        depth_n, valid, material, known = maps
+        target = torch.where(known > 0, material, IGNORE)[:, 0].long()
+        return region_loss(model(_cl(rgb), depth_n, valid), target, weight)
 
     return step_loss
 
@@ -69,13 +75,13 @@ def branch_inputs(
 ) -> tuple[tuple[Tensor, Tensor, Tensor], Tensor]:
     """Return what a branch is given (see ``condition``) and where it must paint, (B, 1, H, W) 0/1.
 
-    With ``rng`` the region is the true one grown or shrunk at random, as stage one and its refinement would, and
-    in-region evidence is withheld from one batch in five so that the branch learns to do without.
+    With ``rng`` the region is the true one with mistakes such as stage one makes, and in-region evidence is withheld
+    from one batch in five so that the branch learns to do without.
     """
     if region is None:
         region = (batch.material > 0)[:, None].float()
         if rng is not None:
-            region = _jitter(region, int(rng.integers(-1, 5)))
+            region = mistake(region, rng)
     evidence = config.evidence and branch == "optical" and (rng is None or rng.random() > 0.2)
     guide = batch.guide_da if branch == "optical" else batch.guide_rgb
     given = condition(batch.rgb, batch.depth_n, batch.valid, region, guide, evidence)
@@ -135,18 +141,20 @@ def detail_step(
     count: int,
     seed: int = 0,
 ) -> StepLoss:
-    """Finer final step: metric error of what is repainted, root mean square per frame and L1 together."""
+    """Finer final step: metric error of each kind of loss, root mean square per frame and L1 together."""
 
     def step_loss(step: int) -> dict[str, Tensor]:
         rng = rng_of(seed, step)
         batch, decoded, region = painted(rng.integers(0, count, recipe.batch), rng)
         x = detail_input(decoded, batch.depth_n, batch.valid, region, batch.rgb, batch.guide_rgb)
-        error = (decoded + model(_cl(x)) - batch.gt_n) * batch.scale_m
-        weight = torch.maximum(region, 1 - batch.valid) * batch.gt_known
-        share = weight.sum(dim=(1, 2, 3)).clamp(min=1)
-        l1 = ((error.abs() * weight).sum(dim=(1, 2, 3)) / share).mean()
-        rms = ((error.square() * weight).sum(dim=(1, 2, 3)) / share + 1e-8).sqrt().mean()
-        return {"total": 10 * (l1 + rms), "l1": l1, "rms": rms}
+        error = (model(_cl(x)) - batch.gt_n) * batch.scale_m
+        losses = {}
+        for name, where in (("optical", region), ("geometric", (1 - region) * (1 - batch.valid))):
+            weight = where * batch.gt_known
+            share = weight.sum(dim=(1, 2, 3)).clamp(min=1)
+            losses[f"{name}_l1"] = ((error.abs() * weight).sum(dim=(1, 2, 3)) / share).mean()
+            losses[f"{name}_rms"] = ((error.square() * weight).sum(dim=(1, 2, 3)) / share + 1e-8).sqrt().mean()
+        return {"total": 10 * sum(losses.values()), **losses}
 
     return step_loss
 
@@ -155,12 +163,6 @@ def batches(scenes: Scenes, size: int, colour: bool = True) -> Iterator[Batch]:
     """Yield all frames in order, without augmentation."""
     for start in range(0, len(scenes), size):
         yield draw(scenes, np.arange(start, min(start + size, len(scenes))), np.random.default_rng(0), False, colour)
-
-
-def _jitter(region: Tensor, pixels: int) -> Tensor:
-    if pixels > 0:
-        return F.max_pool2d(region, 2 * pixels + 1, 1, pixels)
-    return 1 - F.max_pool2d(1 - region, 3, 1, 1) if pixels < 0 else region
 
 
 def _cl(x: Tensor) -> Tensor:
@@ -214,5 +216,5 @@ def _variant(scenes: Scenes, index: np.ndarray, variant: int, seed: int) -> tupl
     batch = draw_each(scenes, index, rngs, augment=variant > 0)
     region = (batch.material > 0)[:, None].float()
     if variant:
-        region = torch.cat([_jitter(r[None], int(rng.integers(-1, 5))) for r, rng in zip(region, rngs, strict=True)])
+        region = torch.cat([mistake(r[None], rng) for r, rng in zip(region, rngs, strict=True)])
     return batch, region

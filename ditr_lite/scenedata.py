@@ -5,12 +5,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
 from tqdm.auto import tqdm
 
+from ditr_lite.augment import colours, lose_readings
 from ditr_lite.boundary import boundary_maps, get_backend
 from ditr_lite.conditioning import depth_bounds, to_tensor
 from ditr_lite.data import read_sample
@@ -164,8 +164,8 @@ def _frame(
     guides = scenes.guides[i] if scenes.guides is not None else (None, None)
     bounds, flipped = depth_bounds(depth), False
     if augment:
-        rgb = _colours(rgb, rng) if colour else rgb
-        depth = _drop(depth, rng)
+        rgb = colours(rgb, rng) if colour else rgb
+        depth = lose_readings(depth, rng)
         flipped = bool(rng.random() < 0.5)
         if flipped:
             rgb, material, depth, gt = (np.ascontiguousarray(a[:, ::-1]) for a in (rgb, material, depth, gt))
@@ -183,28 +183,3 @@ def _frame(
         "guide_da": guides[1],
         "flipped": np.bool_(flipped),
     }
-
-
-def _colours(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Vary gain, contrast, gamma, white balance and noise: renderings are cleaner than cameras."""
-    image = (rgb.astype(np.float32) / 255) ** rng.uniform(0.7, 1.4)
-    image = (image - 0.5) * rng.uniform(0.7, 1.25) + 0.5 + rng.uniform(-0.1, 0.1)
-    image = image * (1 + rng.normal(0, 0.06, 3).astype(np.float32))
-    image += rng.normal(0, rng.uniform(0, 0.03), image.shape).astype(np.float32)
-    if rng.random() < 0.3:
-        image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.4, 1.2))
-    if rng.random() < 0.1:
-        image = np.repeat(image.mean(2, keepdims=True), 3, axis=2)
-    return (np.clip(image, 0, 1) * 255).astype(np.uint8)
-
-
-def _drop(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Lose further readings: border strips and rectangles, as cameras with a narrower view or with occluders do."""
-    depth = depth.copy()
-    if rng.random() < 0.25:
-        strip = int(rng.integers(1, 20))
-        depth[:, :strip] = 0
-    if rng.random() < 0.25:
-        y, x = rng.integers(0, depth.shape[0] - 10), rng.integers(0, depth.shape[1] - 10)
-        depth[y : y + rng.integers(4, 40), x : x + rng.integers(4, 40)] = 0
-    return depth

@@ -84,7 +84,7 @@ def random_scene(seed: int, split: str = "train") -> Scene:
     distance = rng.uniform(0.45, 0.85) if steep else rng.uniform(0.5, 1.0)
     target = np.array([*rng.uniform(-0.05, 0.05, 2), rng.uniform(0, 0.04)])
     eye = target + distance * np.array([0, -np.cos(elevation), np.sin(elevation)])
-    size = distance * rng.uniform(0.05, 0.14)
+    size = distance * rng.uniform(0.05 if split == "test" else 0.035, 0.14)  # real frames show small things too
     things = _place(rng, families, size, spread=distance * rng.uniform(0.26, 0.40), held_out=split == "test")
     return Scene(
         seed=seed,

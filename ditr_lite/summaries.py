@@ -110,7 +110,8 @@ def _average(scores: list[Scores]) -> dict | None:
         return None
     n = np.array([s["n"] for s in scores], dtype=np.float64)
     columns = {m: np.array([s[m] for s in scores]) for m in METRICS}
-    pooled = {m: float(n @ values / n.sum()) for m, values in columns.items()}
-    pooled["rmse"] = float(np.sqrt(n @ columns["rmse"] ** 2 / n.sum()))
+    total = max(n.sum(), 1)  # a protocol may count images that have no such pixels
+    pooled = {m: float(n @ values / total) for m, values in columns.items()}
+    pooled["rmse"] = float(np.sqrt(n @ columns["rmse"] ** 2 / total))
     means = {m: float(values.mean()) for m, values in columns.items()}
     return means | {"n": int(n.sum()), "images": len(scores), "pooled": pooled}

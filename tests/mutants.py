@@ -265,9 +265,38 @@ METRICS = [
     *family(
         "averages and intervals",
         "summaries",
-        ("pooled RMSE: of roots", 'columns["rmse"] ** 2 / n.sum()', 'columns["rmse"] / n.sum()'),
-        ("pooled: not weighed", "float(n @ values / n.sum())", "float(values.mean())"),
+        ("pooled RMSE: of roots", 'columns["rmse"] ** 2 / total', 'columns["rmse"] / total'),
+        ("pooled: not weighed", "float(n @ values / total)", "float(values.mean())"),
         ("interval: 90 per cent", "[2.5, 97.5]", "[5.0, 95.0]"),
+    ),
+    *family(
+        "audit of tables",
+        "audit",
+        ("RMSE and MAE swapped", 'v["mae"] - v["rmse"] > 2', 'v["rmse"] - v["mae"] > 2'),
+        ("rounding: not allowed for", 'v["rmse"] > 2 * half + TINY', 'v["rmse"] > TINY'),
+        ("shares: direction", "if a - b > 2 * half_share", "if b - a > 2 * half_share"),
+        ("floor: the worded one always", "(t - 1) if worded else (1 - 1 / t)", "(t - 1) if worded else (t - 1)"),
+        ("floor: the field's one always", "(t - 1) if worded else (1 - 1 / t)", "(1 - 1 / t)"),
+        ("floor: a band forgotten", " + (100 - d125) * c", ""),
+        ("floor: not a ratio", "(floor - c * rounding) / 100", "(floor - c * rounding)"),
+        ("weight: not a square", "None) ** power for x", "None) for x"),
+        ("weight: parts swapped", "whole**power - outside**power", "whole**power - inside**power"),
+        ("weight: rounding of nothing", "np.clip(x + s, 0, None)", "np.clip(x, 0, None)"),
+        ("between: at or above both", "<= whole <= max(parts)", "<= whole >= max(parts)"),
+        ("best: larger errors are better", "sign = 1 if metric", "sign = -1 if metric"),
+        ("best: a tie is a defeat", "[metric] < sign * rows[name]", "[metric] <= sign * rows[name]"),
+    ),
+    *family(
+        "protocols",
+        "protocols",
+        ("input: dropped, not clipped", "if self.clip else np", "if not self.clip else np"),
+        ("input: near readings kept", "np.where(depth < self.near_m, 0, far)", "far"),
+        ("truth: range ignored", "(truth > self.truth_m[0]) & (truth < self.truth_m[1])", "(truth > 0)"),
+        ("resizing: blends depths", "interpolation=cv2.INTER_NEAREST", "interpolation=cv2.INTER_LINEAR"),
+        ("median is a mean", "float(np.median(error", "float(np.mean(error"),
+        ("pooled column: per image", '{m: row["pooled"][m] for m in self.pooled}', "{m: row[m] for m in self.pooled}"),
+        ("alignment: no shift", "np.ones(known.sum())", "np.zeros(known.sum())"),
+        ("instances are the region", "sample.instances > 0", "sample.region"),
     ),
 ]
 
@@ -292,6 +321,38 @@ PARTITION = [
         ("shadow: sign", "(1 / z_near - 1 / z_far)", "(1 / z_far - 1 / z_near)"),
         ("shadow: focal length dropped", "return fx * baseline_m *", "return baseline_m *"),
         ("reprojection: farthest wins", "np.minimum.at(nearest", "np.maximum.at(nearest"),
+    ),
+    *family(
+        "shadows measured",
+        "shadows",
+        ("moved the other way", "motion[0, 3] = offset_m", "motion[0, 3] = -offset_m"),
+        ("raster not divided by", "(end - int(filled[-1])) / FINE", "(end - int(filled[-1]))"),
+        ("near and far swapped", "shadow_width_px(near, far, offset_m", "shadow_width_px(near, 2 * far, offset_m"),
+        ("principal point of the coarse raster", "(camera.cx + 0.5) * FINE - 0.5", "camera.cx * FINE"),
+        ("thin objects count as clear", "(right < (near + far) / 2).all()", "(right > 0).all()"),
+        ("second surfaces count as clear", "(np.abs(left - far) <= FACET_STEP * far).all()", "left.all()"),
+        ("tolerance signed", "np.abs(self.measured_px - wanted)", "(self.measured_px - wanted)"),
+    ),
+    *family(
+        "loss types guessed",
+        "loss_estimate",
+        ("inside: every reading believed", "depth > (1 - IN_FRONT) * surroundings", "depth < 0"),
+        (
+            "inside: in front means wrong",
+            "depth > (1 - IN_FRONT) * surroundings",
+            "depth < (1 - IN_FRONT) * surroundings",
+        ),
+        ("outside: holes count as jumps", "np.where(valid, depth, np.float32(np.inf))", "np.where(valid, depth, 0)"),
+        ("baseline added", "-= stereo.baseline_m", "+= stereo.baseline_m"),
+        ("baseline dropped", "-= stereo.baseline_m", "-= 0"),
+        ("a shadow falls on the near surface", "np.maximum(depth[rows, left]", "np.minimum(depth[rows, left]"),
+        ("farther surfaces hide", "(before < (1 - FACET_STEP) * z)", "(before > (1 - FACET_STEP) * z)"),
+        ("mirror and glass swapped", "Cause.REFLECTION if mirror else", "Cause.REFLECTION if not mirror else"),
+        (
+            "confusion transposed",
+            "index[truth[counted]] * len(values) + index[guess",
+            "index[guess[counted]] * len(values) + index[truth",
+        ),
     ),
 ]
 
@@ -343,8 +404,18 @@ def run_tests(mutant: Mutant | None, tests: Sequence[str]) -> tuple[int, str, fl
         if mutant is not None:
             target = copy / "ditr_lite" / f"{mutant.file}.py"
             target.write_text(mutate(target.read_text(encoding="utf-8"), mutant), encoding="utf-8")
-        # the copy comes first on the path, before an installed package; comparisons with libraries are left out
-        plain = ["-p", "no:cacheprovider", "-p", "no:nbval", "--rootdir", folder, "-k", "not diffusers"]
+        # the copy comes first on the path, before an installed package; comparisons with libraries and tests on
+        # rendered scenes, which are not copied, are left out
+        plain = [
+            "-p",
+            "no:cacheprovider",
+            "-p",
+            "no:nbval",
+            "--rootdir",
+            folder,
+            "-k",
+            "not diffusers and not rendered",
+        ]
         command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=line", *plain, *tests]
         environment = {**os.environ, "PYTHONPATH": folder, "PYTHONDONTWRITEBYTECODE": "1"}
         result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)

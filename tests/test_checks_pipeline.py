@@ -1,8 +1,8 @@
 """The right answer passes; every planted mistake fails with a message that names it."""
 
 import numpy as np
-import pytest
 import torch
+from checker_cases import checker_tests
 
 from ditr_lite import checks_pipeline as checks
 from ditr_lite import completion, conditioning
@@ -19,10 +19,6 @@ def given(depth, region):
 def spread(depth, optical, geometric, region):
     drawn = np.where(region, optical, np.where(depth > 0, depth, geometric))
     return drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
-
-
-def todo(*_):
-    raise NotImplementedError
 
 
 RIGHT = {checks.check_given: given, checks.check_spread: spread}
@@ -73,28 +69,12 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize("checker", RIGHT, ids=lambda c: c.__name__)
-def test_the_right_answer_passes(checker, capsys):
-    assert checker(RIGHT[checker]), capsys.readouterr().out
-    assert capsys.readouterr().out.startswith("✓")
-
-
-@pytest.mark.parametrize(("checker", "attempt", "message"), MISTAKES)
-def test_a_planted_mistake_is_named(checker, attempt, message, capsys):
-    assert not checker(attempt)
-    out = capsys.readouterr().out
-    assert out.startswith("✗") and message in out, out
-
-
-@pytest.mark.parametrize("checker", RIGHT, ids=lambda c: c.__name__)
-def test_a_stub_is_not_a_failure_of_the_notebook(checker, capsys):
-    assert not checker(todo)
-    assert capsys.readouterr().out.endswith("not attempted yet\n")
-    assert not checker(lambda *_: None) and not checker("nonsense")
-
-
-def test_every_checker_is_tested():
-    assert {c.__name__ for c in RIGHT} == {name for name in dir(checks) if name.startswith("check_")}
+(
+    test_the_right_answer_passes,
+    test_a_planted_mistake_is_named,
+    test_a_stub_is_not_a_failure_of_the_notebook,
+    test_every_checker_is_tested,
+) = checker_tests(checks, RIGHT, MISTAKES)
 
 
 def test_the_exercises_are_what_the_pipeline_does():

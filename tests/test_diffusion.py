@@ -372,7 +372,8 @@ def in_double(scheduler):
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-5), (torch.float64, 1e-10)])
 @pytest.mark.parametrize("prediction", KINDS)
-def test_formulas_equal_diffusers_to_the_last_digits(prediction, dtype, tolerance):
+@pytest.mark.parametrize("eta", [0.0, 0.6])
+def test_formulas_equal_diffusers_to_the_last_digits(prediction, dtype, tolerance, eta):
     diffusers = pytest.importorskip("diffusers")
     settings = {**SETTINGS, "prediction_type": KINDS[prediction]}
     ddim = in_double(diffusers.DDIMScheduler(T, **settings, timestep_spacing="trailing"))
@@ -384,8 +385,10 @@ def test_formulas_equal_diffusers_to_the_last_digits(prediction, dtype, toleranc
         t = torch.tensor([now, now])
         pred_x0 = df.to_x0(output, x_t, t, SCHEDULE, prediction)
         noisy = df.q_sample(x_t, t, output, SCHEDULE)
-        ours = df.ddim_step(x_t, t, t - 100, pred_x0, SCHEDULE), df.ddpm_step(x_t, t, pred_x0, SCHEDULE, generator(7))
-        theirs = ddim.step(output, now, x_t, eta=0.0), ddpm.step(output, now, x_t, generator=generator(7))
+        ours = [df.ddim_step(x_t, t, t - 100, pred_x0, SCHEDULE, eta, generator(7))]
+        ours += [df.ddpm_step(x_t, t, pred_x0, SCHEDULE, generator(7))]
+        theirs = [ddim.step(output, now, x_t, eta=eta, generator=generator(7))]
+        theirs += [ddpm.step(output, now, x_t, generator=generator(7))]
         pairs = [(a, b.prev_sample) for a, b in zip(ours, theirs, strict=True)]
         for a, b in [*pairs, (noisy, ddpm.add_noise(x_t, output, t))]:
             assert a.dtype == dtype and (a - b).abs().max() <= tolerance * b.abs().max()

@@ -1,16 +1,15 @@
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from ditr_lite import baselines, datasets, evaluation, latency, metrics, pipeline, protocols, store
+from ditr_lite import baselines, datasets, evaluation, latency, metrics, pipeline, store
 from ditr_lite.config import preset
 from ditr_lite.data import Sample
 from ditr_lite.evaluation import format_report, run_methods, summary, to_json
 from ditr_lite.pipeline import Completion
-from ditr_lite.protocols import CLEARGRASP
+from ditr_lite.protocols import CLEARGRASP, PROTOCOLS
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
 needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="no real frames beside the repository")
@@ -169,14 +168,20 @@ def test_cleargrasp_protocol_cleans_the_input_and_scores_the_region_at_its_size(
     assert "As ClearGrasp's code scores" in format_report(summary([result]), CLEARGRASP)
 
 
-def test_protocol_resizes_by_nearest_neighbour():
-    half = protocols.Protocol("half", (2, 2), 0.1, 1.5)
-    truth = np.array([[1, 9, 1, 9], [9, 9, 9, 9], [0, 9, 1, 9], [9, 9, 9, 9]], np.float32)
-    region = np.array([[1, 0, 0, 0], [0, 0, 0, 0], [1, 0, 1, 0], [0, 0, 0, 0]], bool)
-    pred = np.full((4, 4), 1.25, np.float32)
-    scores = half.score(pred, SimpleNamespace(depth_gt=truth, region=region))
-    assert scores["optical"]["n"] == 2 and scores["optical"]["rmse"] == 0.25
-    assert scores["optical"]["d125"] == 0  # strict: 1.25 is not below 1.25
+def test_pooled_columns_of_a_protocol_reach_the_report_and_the_json(tmp_path):
+    small, large = make_sample("a"), make_sample("b")
+    small.region[24:] = False
+    results = run_methods([small, large], FakeDitr(), {}, True, progress=False, protocol=PROTOCOLS["transparenet"])
+    rows = [r["protocol"]["ditr"] for r in results]
+    for row, metric in zip(rows, (0.01, 0.03), strict=True):
+        row["optical"]["mae"] = metric
+    n = [row["optical"]["n"] for row in rows]
+    pooled = (0.01 * n[0] + 0.03 * n[1]) / sum(n)
+    store.save_part("region", pipeline.build(preset("tiny"))["region"].state_dict(), preset("tiny"), tmp_path, {})
+    values = to_json(results, "c", tmp_path, PROTOCOLS["transparenet"])
+    assert np.isclose(values["summary"]["protocol"]["ditr"]["optical"]["mae"], pooled) and not np.isclose(pooled, 0.02)
+    text = format_report(summary(results, PROTOCOLS["transparenet"]), PROTOCOLS["transparenet"])
+    assert "As TranspareNet's code scores: region; 256 x 144" in text and f"{1000 * pooled:.1f}" in text
 
 
 def test_json_holds_checksums_command_and_every_frame(tmp_path):

@@ -21,9 +21,13 @@ FORMULAS = {  # each has its own family of mistakes
     "attention",
     "metrics (Eq. 4-6, I2)",
     "averages and intervals",
+    "audit of tables",
+    "protocols",
     "partition (Eq. 1-2)",
     "labels and parallax",
     "depth-aware map (I4)",
+    "shadows measured",
+    "loss types guessed",
 }
 
 

@@ -108,4 +108,8 @@ def test_equals_diffusers(ours, theirs):
     diffusers = pytest.importorskip("diffusers")
     s = make_schedule(ScheduleConfig(name=ours))
     d = diffusers.DDPMScheduler(1000, beta_start=0.0015, beta_end=0.0195, beta_schedule=theirs)
+    assert torch.allclose(s.betas.float(), d.betas, rtol=1e-5, atol=1e-8)
     assert torch.allclose(s.alphas_cumprod.float(), d.alphas_cumprod, rtol=2e-4, atol=1e-8)
+    assert (s.alphas_cumprod - d.alphas_cumprod.double()).abs().max() < 1e-5  # theirs multiplies a thousand float32
+    exact = s.betas.neg().log1p().cumsum(0).exp()  # the product by another way, in float64
+    assert torch.allclose(s.alphas_cumprod, exact, rtol=1e-10, atol=0)

@@ -11,15 +11,13 @@ from hypothesis.extra.numpy import arrays
 from ditr_lite import metrics as M
 from ditr_lite import summaries
 
-MAPS = arrays(np.float64, (3, 4), elements=st.floats(0.05, 10.0))
+PIXELS = arrays(np.float64, 12, elements=st.floats(0.05, 10.0))
 
 
-def frame() -> tuple[np.ndarray, ...]:
-    truth = np.array([[1.0, 1.0, 1.0], [2.0, 2.0, 0.0]], np.float32)
-    pred = np.array([[1.1, 1.2, 1.3], [2.4, 2.5, 7.0]], np.float32)
-    region = np.array([[True, True, False], [False, False, True]])
-    raw = np.array([[1.5, 0.0, 0.0], [2.0, 0.0, 1.0]], np.float32)
-    return pred, truth, region, raw
+def scores(rmse: float, n: int, **sets) -> dict:
+    """Return what ``evaluate`` gives for a frame whose pixels are all off by ``rmse`` metres at 1 m."""
+    whole = {"rmse": rmse, "mae": rmse, "rel": rmse, "d105": 0.0, "d110": 0.0, "d125": 100.0, "n": n}
+    return dict.fromkeys(M.SETS) | {"whole": whole} | sets
 
 
 def test_metrics_offers_them_too():
@@ -44,19 +42,18 @@ def test_average_is_per_image_with_the_pooled_value_beside_it():
 
 
 @settings(deadline=None)
-@given(st.lists(st.tuples(MAPS, MAPS), min_size=1, max_size=4))
+@given(st.lists(st.tuples(PIXELS, PIXELS), min_size=1, max_size=4))
 def test_pooling_equals_scoring_everything_at_once(frames):
-    pooled = M.average([M.evaluate(p, g) for p, g in frames])["whole"]["pooled"]
-    together = M.evaluate(*(np.concatenate(maps) for maps in zip(*frames, strict=True)))["whole"]
+    pooled = M.average([M.evaluate(p[None], g[None]) for p, g in frames])["whole"]["pooled"]
+    together = M.evaluate(*(np.concatenate(rows)[None] for rows in zip(*frames, strict=True)))["whole"]
     assert pooled == pytest.approx({m: together[m] for m in M.METRICS}, rel=1e-6, abs=1e-9)
 
 
 def test_average_leaves_out_images_without_such_pixels():
-    pred, truth, region, raw = frame()
-    with_region, without = M.evaluate(pred, truth, region, raw), M.evaluate(pred, truth, np.zeros_like(region), raw)
-    result = M.average([with_region, without])
-    assert result["optical"]["images"] == 1 and result["optical"]["rmse"] == with_region["optical"]["rmse"]
-    assert M.average([without])["optical"] is None
+    glass = scores(0.3, 2)["whole"]
+    result = M.average([scores(0.1, 5, optical=glass), scores(0.2, 5)])
+    assert result["optical"]["images"] == 1 and result["optical"]["rmse"] == 0.3
+    assert result["whole"]["images"] == 2 and M.average([scores(0.2, 5)])["optical"] is None
     with pytest.raises(ValueError, match="nothing to average"):
         M.average([])
 
@@ -85,12 +82,9 @@ def test_paired_bootstrap_keeps_pairs_together():
 
 
 def test_table_shows_millimetres_and_dashes():
-    pred, truth, region, _ = frame()
-    table = M.format_table(
-        {"ours": M.evaluate(pred, truth, region), "flat": M.evaluate(pred, truth)}, ["whole", "optical"]
-    )
-    lines = table.splitlines()
+    rows = {"ours": scores(0.3317, 5, optical=scores(0.15, 2)["whole"]), "flat": scores(0.3, 5)}
+    lines = M.format_table(rows, ["whole", "optical"]).splitlines()
     assert lines[0] == "whole (5 pixels)" and lines[1].split()[:3] == ["method", "RMSE", "mm"]
-    assert lines[2].split()[:3] == ["ours", "331.7", "300.0"]
+    assert lines[2].split()[:3] == ["ours", "331.7", "331.7"]
     assert lines[8].split() == ["flat"] + ["-"] * 6
     assert len({len(line) for line in lines if line.startswith(("ours", "flat", "method"))}) == 1

@@ -107,3 +107,14 @@ def test_book_links_every_page_and_carries_alternative_text(tmp_path):
     page = (tmp_path / "book" / "07_metrics.html").read_text()
     assert 'alt="two rising curves"' in page
     assert 'href="08_ablations.html#top"' in page and ".ipynb#top" not in page
+
+
+def test_the_paper_map_is_written_and_checked(tmp_path, monkeypatch, capsys):
+    paper_map = load("paper_map")
+    assert paper_map.main(["--check"]) == 0
+    for folder in ("tests", "notebooks"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    monkeypatch.setattr(paper_map, "ROOT", tmp_path)
+    assert paper_map.main(["--check"]) == 1 and "out of date" in capsys.readouterr().err
+    assert paper_map.main([]) == 0 and paper_map.main(["--check"]) == 0
+    assert (tmp_path / "PAPER_MAP.md").read_text() == (ROOT / "PAPER_MAP.md").read_text()

@@ -127,6 +127,22 @@ def test_attention_equals_naive_attention(heads):
     assert torch.allclose(module(query, source), naive_attention(module, query, source), atol=1e-10)
 
 
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-5), (torch.float64, 1e-10)])
+@pytest.mark.parametrize("query", ["feature", "latent"])
+def test_cross_attention_equals_torchs(query, dtype, tolerance):
+    torch.manual_seed(0)
+    module = {"feature": CrossAttentionFeatureQuery, "latent": CrossAttentionLatentQuery}[query](32, 16, 4).to(dtype)
+    maps = {"latent": torch.randn(2, 32, 3, 5, dtype=dtype), "feature": torch.randn(2, 16, 3, 5, dtype=dtype)}
+    asks, answers = maps[query], maps["latent" if query == "feature" else "feature"]
+    tokens = [n(x).flatten(2).mT for n, x in ((module.norm_query, asks), (module.norm_source, answers))]
+    place = grid_code(3, 5, 8, torch.device("cpu")).to(dtype).repeat(1, 4)  # (15, 32): the same for each of 4 heads
+    q, k, v = module.to_q(tokens[0]) + place, module.to_k(tokens[1]) + place, module.to_v(tokens[1])
+    q, k, v = (x.reshape(2, 15, 4, 8).permute(0, 2, 1, 3) for x in (q, k, v))
+    mixed = torch.nn.functional.scaled_dot_product_attention(q, k, v).permute(0, 2, 1, 3).reshape(2, 15, 32)
+    want = module.out(mixed).mT.reshape(2, 32, 3, 5)
+    assert (module(maps["latent"], maps["feature"]) - want).abs().max() <= tolerance * want.abs().max()
+
+
 def test_single_query_attention_gathers_latents_and_its_reverse_gathers_features():
     torch.manual_seed(0)
     latent, feature = torch.randn(1, 32, 4, 4), torch.randn(1, 16, 4, 4)
