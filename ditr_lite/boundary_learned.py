@@ -167,7 +167,10 @@ def load(path: Path | str | None = None) -> LearnedBoundary:
     Raises:
         ValueError: when there are none, or they are damaged or of other sizes.
     """
-    state, nets = load_part("boundary", path), build()
+    try:
+        state, nets = load_part("boundary", path), build()
+    except ValueError as error:
+        raise ValueError(f"{error} (this part by `python -m ditr_lite train-boundary`)") from None
     thresholds = state.pop("thresholds", torch.empty(0))
     try:
         nets.load_state_dict(state)
