@@ -1,4 +1,4 @@
-"""The command line: ``python -m ditr_lite complete | evaluate | simulate | train | bench``.
+"""The command line: ``python -m ditr_lite complete | evaluate | simulate | train | bench | ...``; see ``--help``.
 
 Bad input ends with exit code 2 and one line on stderr.
 """
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from ditr_lite import commands
+from ditr_lite import boundary_commands, commands
 
 DATASETS = ("cleargrasp", "todd", "std", "trosd", "transcg")
 PROTOCOLS = ("cleargrasp", "lidf", "transparenet", "dfnet", "swindrnet", "d3roma", "marigold")
@@ -53,12 +53,15 @@ def parser() -> Parser:
         "simulate": (_simulate, "render scenes; without --split, the shipped ones (existing scenes are kept)"),
         "train": (_train, "train one part or all; a stopped run goes on where it was"),
         "bench": (_bench, "the tables of evaluate plus time and operations of each stage"),
+        "train-boundary": (_train_boundary, "train the learned boundary backend; a stopped run goes on where it was"),
+        "bench-boundary": (_bench_boundary, "score every boundary backend against the exact outlines of the scenes"),
     }
     which = top.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
     for name, (add, text) in adders.items():
         sub = which.add_parser(name, help=text, description=text)
         add(sub)
-        sub.set_defaults(run=getattr(commands, name))
+        module = boundary_commands if name.endswith("-boundary") else commands
+        sub.set_defaults(run=getattr(module, name.replace("-", "_")))
     return top
 
 
@@ -118,6 +121,30 @@ def _train(p: Parser) -> None:
     p.add_argument("--limit", type=int, help="use only the first scenes")
     p.add_argument("--seed", type=int, default=0, help="of everything random (%(default)s)")
     p.add_argument("--boundary", default="classical", help="backend of the boundary maps (%(default)s)")
+
+
+def _train_boundary(p: Parser) -> None:
+    p.add_argument("--data", type=Path, default=Path("outputs/scenes/train"), help="scenes to train on (%(default)s)")
+    p.add_argument("--val", type=Path, default=Path("data_samples/val"), help="scenes to validate on (%(default)s)")
+    p.add_argument("--out", type=Path, help="weights folder (default: the shipped one)")
+    p.add_argument("--work", type=Path, default=Path("outputs/training"), help="for checkpoints and logs (%(default)s)")
+    p.add_argument(
+        "--steps", type=int, help="steps of the colour network instead of the recipe's; the depth network takes a third"
+    )
+    p.add_argument("--batch", type=int, help="frames a step instead of the recipe's")
+    p.add_argument("--lr", type=float, help="peak learning rate instead of the recipe's")
+    p.add_argument("--limit", type=int, help="use only the first scenes")
+    p.add_argument("--seed", type=int, default=0, help="of everything random (%(default)s)")
+
+
+def _bench_boundary(p: Parser) -> None:
+    p.add_argument("--root", type=Path, help="a folder of other rendered scenes, with their train split")
+    p.add_argument("--split", default="test", help="test (default), val or train")
+    p.add_argument("--limit", type=int, help="only the first frames")
+    p.add_argument("--tolerance", type=float, default=1.0, help="pixels (%(default)s)")
+    p.add_argument("--weights", type=Path, help="weights folder of the learned backend (default: the shipped one)")
+    p.add_argument("--sam", type=Path, help="folder of a SAM checkpoint; without it, sam is not scored")
+    p.add_argument("--json", type=Path, help="also write every frame's scores to this file")
 
 
 def _scoring(p: Parser) -> None:

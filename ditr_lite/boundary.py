@@ -2,19 +2,43 @@
 
 Paper: Sec. IV-C "Feature Extractor". The paper runs SAM (ViT-L) on RGB and on depth and calls the outlines of its
 masks M_RGB and M_D; how a set of masks becomes a map is not said. Here anything that turns an image into a bool map
-is a backend, and ``classical`` needs no weights.
+is a backend, chosen by name: ``classical`` needs no weights, ``learned`` is a small network of ours (shipped), ``sam``
+is the paper's network (bring a checkpoint), ``none`` finds nothing.
 
 Convention: a boundary belongs to the surface in front: the marked pixels are its outermost ones, one pixel wide.
 """
 
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
 from skimage.segmentation import find_boundaries
 
-Backend = Callable[[np.ndarray], np.ndarray]  # uint8 (H, W, 3) or float metres (H, W) -> (H, W) bool
+from .boundary_classical import ClassicalBoundary, is_depth
+
+__all__ = [
+    "BACKENDS",
+    "Backend",
+    "ClassicalBoundary",
+    "ExactBoundary",
+    "boundaries_from_labels",
+    "boundary_maps",
+    "depth_aware",
+    "depth_boundaries",
+    "get_backend",
+    "precision_recall_f",
+    "within",
+]
+
+
+class Backend(Protocol):
+    """Whatever finds boundaries: one call, for colour and for depth."""
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        """Return (H, W) bool for an image (H, W, 3) uint8, or a depth map (H, W) float metres with 0 = missing."""
 
 
 def boundaries_from_labels(instances: np.ndarray) -> np.ndarray:
@@ -38,122 +62,94 @@ def boundaries_from_labels(instances: np.ndarray) -> np.ndarray:
     return find_boundaries(instances, connectivity=1, mode="inner", background=0)
 
 
-class ClassicalBoundary:
-    """Find boundaries without any learned weights: Canny in colour, jumps between readings in depth.
+def depth_boundaries(instances: np.ndarray, depth_gt: np.ndarray, jump: float = 0.01) -> np.ndarray:
+    """Mark those outlines at which true depth jumps: what M_D and M_DA should find.
+
+    An outline pixel counts when true depth differs by more than ``jump`` from a 4-neighbour of another label: an
+    object's foot on the table is an outline, yet no jump.
 
     Args:
-        low: weak-edge threshold on colour, CIELAB units per pixel; kept only when joined to a strong edge.
-        high: strong-edge threshold on colour, same unit.
-        jump: relative depth difference that makes a boundary (0.02: 2 cm at 1 m).
-        slope: relative depth change per pixel that a slanted surface may have on top of that.
-        max_hole: widest run of missing readings, in pixels, that a jump is looked for across.
-        min_length: connected boundaries with fewer pixels are dropped as noise.
+        instances: (H, W) int, 0 = background.
+        depth_gt: (H, W) float metres, 0 = unknown, which is no jump.
+        jump: metres.
+
+    Returns:
+        (H, W) bool, a subset of :func:`boundaries_from_labels`.
+
+    Raises:
+        ValueError: for maps of different size, or a negative jump.
+    """
+    outline = boundaries_from_labels(instances)
+    if depth_gt.shape != outline.shape or jump < 0:
+        raise ValueError(f"expected depth_gt {outline.shape} and jump >= 0, got {depth_gt.shape} and {jump}")
+    jumps = np.zeros(outline.shape, bool)
+    for axis in (0, 1):
+        (a, b), (z, y) = (
+            (np.take(m, range(m.shape[axis] - 1), axis), np.take(m, range(1, m.shape[axis]), axis))
+            for m in (instances, depth_gt)
+        )
+        found = (a != b) & (z > 0) & (y > 0) & (np.abs(z - y) > jump)
+        last = [(0, 0), (0, 0)]
+        last[axis] = (0, 1)
+        jumps |= np.pad(found, last) | np.pad(found, [pair[::-1] for pair in last])
+    return outline & jumps
+
+
+class ExactBoundary:
+    """Answer with the truth of one rendered frame: the best guides there can be.
+
+    Args:
+        instances: (H, W) int, 0 = background.
+        depth_gt: (H, W) float metres, 0 = unknown.
+        jump: see :func:`depth_boundaries`.
     """
 
-    def __init__(
-        self,
-        low: float = 3.0,
-        high: float = 8.0,
-        jump: float = 0.02,
-        slope: float = 0.01,
-        max_hole: int = 24,
-        min_length: int = 8,
-    ):
-        if not 0 < low <= high or min(jump, slope, max_hole, min_length) < 0:
-            raise ValueError("expected 0 < low <= high and no negative value")
-        self.low, self.high, self.jump, self.slope = low, high, jump, slope
-        self.max_hole, self.min_length = max_hole, min_length
+    def __init__(self, instances: np.ndarray, depth_gt: np.ndarray, jump: float = 0.01):
+        self.colour, self.depth = boundaries_from_labels(instances), depth_boundaries(instances, depth_gt, jump)
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
-        """Return the (H, W) bool boundary map of an image or of a depth map.
-
-        Args:
-            image: (H, W, 3) uint8 RGB, or (H, W) floating-point depth in metres with 0 = missing.
-
-        Raises:
-            ValueError: for anything else.
-        """
-        image = np.asarray(image)
-        if image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8:
-            edges = self._colour(image)
-        elif image.ndim == 2 and np.issubdtype(image.dtype, np.floating):
-            depth = _denoise(image.astype(np.float32))
-            edges = self._jumps(depth) | self._jumps(depth.T).T
-        else:
-            raise ValueError(f"expected RGB (H, W, 3) uint8 or depth (H, W) float, got {image.shape} {image.dtype}")
-        return _drop_small(edges, self.min_length)
-
-    def _colour(self, rgb: np.ndarray) -> np.ndarray:
-        # float CIELAB: equal steps look equally different; the bilateral filter flattens texture but not edges
-        lab = cv2.cvtColor(rgb.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
-        lab = cv2.bilateralFilter(lab, 7, sigmaColor=12, sigmaSpace=3)
-        dx = cv2.Sobel(lab, cv2.CV_32F, 1, 0, ksize=3) / 4  # / 4: the height of a step; (H, W, 3)
-        dy = cv2.Sobel(lab, cv2.CV_32F, 0, 1, ksize=3) / 4
-        strongest = (dx**2 + dy**2).argmax(axis=2)[..., None]
-        dx, dy = (np.take_along_axis(d, strongest, axis=2)[..., 0] for d in (dx, dy))  # (H, W, 3) -> (H, W)
-        scale = 64  # cv2.Canny takes int16 derivatives: keep 1/64 of a unit; 2^15 / 64 = 512 is never reached
-        ints = [np.ascontiguousarray(np.rint(d * scale).astype(np.int16)) for d in (dx, dy)]
-        return cv2.Canny(*ints, self.low * scale, self.high * scale, L2gradient=True) > 0
-
-    def _jumps(self, depth: np.ndarray) -> np.ndarray:
-        """Compare every reading with the next one to its right in the row, whatever is missing in between.
-
-        Jumping over holes, rather than filling them, keeps two rules. A hole's own border is no boundary: where both
-        sides are equally deep (glass, dark paint) nothing is marked. And where they differ, the nearer side is
-        marked, because what a stereo camera misses beside an edge is the surface behind (the parallax shadow). Runs
-        longer than ``max_hole`` say nothing.
-        """
-        rows, columns = np.nonzero(depth > 0)
-        edges = np.zeros(depth.shape, bool)
-        if len(rows) < 2:
-            return edges
-        z = depth[rows, columns]
-        gap = columns[1:] - columns[:-1]  # 1 for neighbours
-        near = np.minimum(z[1:], z[:-1])
-        found = np.abs(z[1:] - z[:-1]) > (self.jump + self.slope * gap) * near
-        found &= (rows[1:] == rows[:-1]) & (gap <= self.max_hole + 1)
-        (pair,) = np.nonzero(found)
-        front = pair + (z[pair + 1] < z[pair])  # index of the nearer of the two readings
-        edges[rows[front], columns[front]] = True
-        return edges
-
-
-def _denoise(depth: np.ndarray) -> np.ndarray:
-    """Take a 3x3 median of the readings only, leaving missing pixels missing."""
-    missing = depth <= 0
-    if missing.all():
-        return np.zeros_like(depth)
-    # zeros would win the median beside a hole, so every hole first takes the value of its nearest reading
-    _, labels = cv2.distanceTransformWithLabels(
-        missing.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    value_of = np.zeros(labels.max() + 1, np.float32)
-    value_of[labels[~missing]] = depth[~missing]
-    return np.where(missing, 0, cv2.medianBlur(value_of[labels], 3)).astype(np.float32)
-
-
-def _drop_small(edges: np.ndarray, min_length: int) -> np.ndarray:
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(edges.astype(np.uint8), connectivity=8)
-    keep = stats[:, cv2.CC_STAT_AREA] >= min_length
-    keep[0] = False  # label 0 is everything that is not an edge
-    return keep[labels]
+        """Return all outlines for a colour image, those with a depth jump for a depth map; (H, W) bool."""
+        return (self.depth if is_depth(np.asarray(image)) else self.colour).copy()
 
 
 def _load_classical(path: Path | str | None = None) -> Backend:
-    if path is not None:
-        raise ValueError(f"backend 'classical' has no weights; leave out path={str(path)!r}")
+    _refuse_path("classical", path)
     return ClassicalBoundary()
 
 
+def _load_none(path: Path | str | None = None) -> Backend:
+    _refuse_path("none", path)
+    return lambda image: np.zeros(np.shape(image)[:2], bool)
+
+
+def _refuse_path(name: str, path: Path | str | None) -> None:
+    if path is not None:
+        raise ValueError(f"backend {name!r} has no weights; leave out path={str(path)!r}")
+
+
+def _load_module(name: str) -> Callable[[Path | str | None], Backend]:
+    # imported on first use: neither torch nor transformers is needed by those who do not ask for them
+    return lambda path=None: import_module(f"{__package__}.boundary_{name}").load(path)
+
+
 # name -> loader(path or None). A loader, not an object: weights are read only by those who ask for them.
-BACKENDS: dict[str, Callable[..., Backend]] = {"classical": _load_classical}
+BACKENDS: dict[str, Callable[..., Backend]] = {
+    "classical": _load_classical,
+    "learned": _load_module("learned"),
+    "sam": _load_module("sam"),
+    "none": _load_none,
+}
 
 
 def get_backend(name: str, path: Path | str | None = None) -> Backend:
-    """Return the boundary backend called ``name``, with weights from ``path`` where it needs any.
+    """Return the boundary backend called ``name``.
+
+    Args:
+        name: a key of :data:`BACKENDS`.
+        path: ``learned``: a weights folder other than the shipped one; ``sam``: the folder of the checkpoint.
 
     Raises:
-        ValueError: for an unknown name.
+        ValueError: for an unknown name, or weights that are absent or cannot be used.
     """
     if name not in BACKENDS:
         raise ValueError(f"unknown boundary backend {name!r}; choose one of {', '.join(BACKENDS)}")

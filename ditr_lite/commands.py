@@ -120,9 +120,7 @@ def train(args: Namespace) -> None:
     if args.part not in ("all", *fitting.PARTS):
         raise ValueError(f"unknown part {args.part!r}; choose all or one of {', '.join(fitting.PARTS)}")
     config = override(preset(args.preset), **dict(_setting(text) for text in args.set))
-    for folder, command in ((args.data, MAKE_TRAIN), (args.val, MAKE_VAL)):
-        if not any(Path(folder).glob("*/meta.json")):
-            raise ValueError(f"no scenes in {folder}: make them with `{command}`")
+    _check_scenes(args)
     # Only the plain lite preset goes where the shipped weights and their checkpoints are.
     tag = args.preset + ("-changed" if args.set else "")
     out = args.out or (WEIGHTS if tag == "lite" else Path("outputs/weights") / tag)
@@ -191,6 +189,12 @@ def _frames(args: Namespace) -> tuple[str, _First]:
     if frames[0].depth_gt is None:
         raise ValueError(f"{args.dataset} in {args.root} has no ground-truth depth: nothing to score; see `complete`")
     return f"{args.dataset} in {args.root}{f', split {args.split}' if args.split else ''}", frames
+
+
+def _check_scenes(args: Namespace) -> None:
+    for folder, command in ((args.data, MAKE_TRAIN), (args.val, MAKE_VAL)):
+        if not any(Path(folder).glob("*/meta.json")):
+            raise ValueError(f"no scenes in {folder}: make them with `{command}`")
 
 
 def _load(args: Namespace):

@@ -394,7 +394,24 @@ REGION = [
     ),
 ]
 
-MUTANTS: list[Mutant] = [*SCHEDULE, *DIFFUSION, *AUTOENCODER, *ATTENTION, *METRICS, *PARTITION, *REGION]
+BOUNDARY = family(
+    "depth-aware map (I4)",
+    "boundary",
+    ("as printed: no tolerance", "boundary_rgb & within(boundary_depth, tolerance)", "boundary_rgb & boundary_depth"),
+    ("the other map is grown", "boundary_rgb & within(boundary_depth,", "boundary_depth & within(boundary_rgb,"),
+    ("union for intersection", "return boundary_rgb & within(", "return boundary_rgb | within("),
+    ("distance: equal is too far", "distance <= tolerance + 1e-4", "distance < tolerance - 1e-4"),
+    ("distance: city blocks", "cv2.DIST_L2, cv2.DIST_MASK_PRECISE", "cv2.DIST_L1, 3"),
+    ("jump: signed", "(np.abs(z - y) > jump)", "(z - y > jump)"),
+    ("jump: within an object, too", "found = (a != b) & ", "found = "),
+    ("jump: unknown depth counts", " & (z > 0) & (y > 0) & ", " & "),
+    ("jump: background is marked", "return outline & jumps", "return jumps"),
+    ("precision: of the true pixels", "float(right / pred.sum())", "float(right / true.sum())"),
+    ("recall: counts predictions", "float(hit / true.sum())", "float(right / true.sum())"),
+    ("F: not harmonic", "float(2 * precision * recall / (precision + recall))", "(precision + recall) / 2"),
+)
+
+MUTANTS: list[Mutant] = [*SCHEDULE, *DIFFUSION, *AUTOENCODER, *ATTENTION, *METRICS, *PARTITION, *REGION, *BOUNDARY]
 
 
 def mutate(source: str, mutant: Mutant) -> str:

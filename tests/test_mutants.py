@@ -28,6 +28,7 @@ FORMULAS = {  # each has its own family of mistakes
     "learning rates (S3)",
     "soft region (S4)",
     "prices of mistakes",
+    "depth-aware map (I4)",
     "shadows measured",
     "loss types guessed",
 }

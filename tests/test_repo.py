@@ -163,7 +163,7 @@ def ranges():
     """Return {name: version range} of everything that environment.txt must pin."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    declared = [*project["dependencies"], *extras["simulate"], *extras["dev"]]
+    declared = [*project["dependencies"], *extras["simulate"], *extras["sam"], *extras["dev"]]
     return {requirement.name: requirement.specifier for requirement in map(Requirement, declared)}
 
 
@@ -193,7 +193,7 @@ def third_party_imports(source):
 @per_file(PYTHON)
 def test_every_third_party_import_is_declared(path):
     names = {DISTRIBUTIONS.get(root, root) for root in third_party_imports(path.read_text())}
-    assert names - set(ranges()) - {"transformers"} == set()  # transformers: extra "sam", not needed by the tests
+    assert names - set(ranges()) == set()
 
 
 def test_environment_installs_the_package_and_no_torchvision():
