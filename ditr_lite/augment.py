@@ -76,7 +76,7 @@ def grow(region: Tensor, pixels: int) -> Tensor:
 def mistake(region: Tensor, rng: np.random.Generator) -> Tensor:
     """Return a region as stage one might have found it: grown or shrunk, a part missed, something else taken for glass.
 
-    A branch that only ever saw true regions trusts every reading outside and no reading inside.
+    A network that only ever saw true regions trusts every reading outside and no reading inside.
 
     Args:
         region: (B, 1, H, W) 0/1, the true one.

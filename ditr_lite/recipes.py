@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ditr_lite import diffusion
-from ditr_lite.augment import mistake, reframe
+from ditr_lite.augment import grow, mistake, reframe
 from ditr_lite.autoencoder import VQAutoencoder, autoencoder_loss
 from ditr_lite.conditioning import condition, fill
 from ditr_lite.config import Config
@@ -29,7 +29,7 @@ StepLoss = Callable[[int], dict[str, Tensor]]
 RECIPES = {
     "autoencoder": Recipe(steps=3000, batch=16, lr=2e-3),
     "region": Recipe(steps=2800, batch=8, lr=2e-3, weight_decay=1e-2),
-    "optical": Recipe(steps=1500, batch=8, lr=1e-3),
+    "optical": Recipe(steps=1700, batch=8, lr=1e-3),
     "geometric": Recipe(steps=800, batch=8, lr=1e-3),
     "detail": Recipe(steps=1000, batch=8, lr=2e-3),
 }
@@ -75,13 +75,13 @@ def branch_inputs(
 ) -> tuple[tuple[Tensor, Tensor, Tensor], Tensor]:
     """Return what a branch is given (see ``condition``) and where it must paint, (B, 1, H, W) 0/1.
 
-    With ``rng`` the region is the true one with mistakes such as stage one makes, and in-region evidence is withheld
-    from one batch in five so that the branch learns to do without.
+    With ``rng`` the region is the true one grown or shrunk at random, as stage one and its refinement would, and
+    in-region evidence is withheld from one batch in five so that the branch learns to do without.
     """
     if region is None:
         region = (batch.material > 0)[:, None].float()
         if rng is not None:
-            region = mistake(region, rng)
+            region = grow(region, int(rng.integers(-1, 5)))
     evidence = config.evidence and branch == "optical" and (rng is None or rng.random() > 0.2)
     guide = batch.guide_da if branch == "optical" else batch.guide_rgb
     given = condition(batch.rgb, batch.depth_n, batch.valid, region, guide, evidence)
