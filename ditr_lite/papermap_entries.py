@@ -8,11 +8,11 @@ A ``planned`` entry becomes ``done`` by changing that word and giving the headin
 """
 
 ENTRIES = """
-Eq. 1 | planned | 01_depth_loss_anatomy | -
+Eq. 1 | done | 01_depth_loss_anatomy | 7 · The truth about every pixel (Fig. 4), and Eq. 1 and 2
 loss_types.partition | test_loss_types.py::test_partition_is_complete_and_disjoint
 X = X^op ∪ X^geo and D_in = D_in^op ∪ D_in^geo: image and depth fall into an optical and a geometric part
 
-Eq. 2 | planned | 01_depth_loss_anatomy | -
+Eq. 2 | done | 01_depth_loss_anatomy | 7 · The truth about every pixel (Fig. 4), and Eq. 1 and 2
 loss_types.Partition | test_loss_types.py::test_partition_is_complete_and_disjoint
 the two parts are disjoint (printed as {φ}; ∅ is meant)
 
@@ -60,19 +60,19 @@ I4 | planned | 05_boundary_maps | -
 boundary.depth_aware | test_boundary.py::test_the_printed_formula_is_an_intersection
 M_DA = M_RGB \\ ∁_U M_D, which is an intersection
 
-S1 | planned | 02_region_refinement | -
+S1 | done | 02_region_refinement | 3 · Decode, with a judge at every level
 region.RegionNet | test_region.py::test_outputs_have_the_promised_shapes
 stage one: encoder-decoder over colour and depth, feature fusion, boundary refinement
 
-S2 | planned | 02_region_refinement | -
+S2 | done | 02_region_refinement | 7 · Refine: a vote, then a reach
 region.refine_region | test_region.py::test_refinement_agrees_with_the_naive_one
 refinement: median 7 × 7, then dilation 5 × 5 in 3 iterations
 
-S3 | planned | 02_region_refinement | -
+S3 | done | 02_region_refinement | 6 · Train it as the paper says
 region_training.train_region | test_region_training.py::test_constants_are_the_papers
 training of stage one: SGD, batch 16, momentum 0.9, weight decay 1e-4, 200 epochs, a mixed learning rate
 
-S4 | planned | 02_region_refinement | -
+S4 | done | 02_region_refinement | 9 · Send the final error back through everything
 finetune.finetune_region | test_finetune.py::test_finetuning_moves_the_region_to_where_the_final_depth_gains
 fine-tuning: stage two frozen, the final RMSE added to the loss, 1e-3, 50 epochs
 
@@ -128,7 +128,7 @@ A2 | planned | 08_ablations | -
 - | -
 failure cases: very large and overlapping objects
 
-F1 | planned | 01_depth_loss_anatomy | -
+F1 | done | 01_depth_loss_anatomy | Fig. 1 of the paper, from our frames
 loss_types.label | test_loss_types.py::test_label_names_each_kind_and_uses_both_thresholds
 depth distortion of transparent and reflective objects
 
@@ -136,11 +136,11 @@ F2 | planned | 01_depth_loss_anatomy | -
 - | -
 ambiguity of depth from one colour image
 
-F3 | planned | 01_depth_loss_anatomy | -
+F3 | done | 01_depth_loss_anatomy | 6 · Parallax: shadows that depth casts (Fig. 3)
 loss_types.reproject | test_loss_types.py::test_shadow_has_the_predicted_width
 geometric loss by parallax
 
-F4 | planned | 01_depth_loss_anatomy | -
+F4 | done | 01_depth_loss_anatomy | 7 · The truth about every pixel (Fig. 4), and Eq. 1 and 2
 loss_types.label | test_loss_types.py::test_label_names_each_kind_and_uses_both_thresholds
 composition of depth loss
 
