@@ -1,8 +1,8 @@
 """Our scenes in the layout of each real dataset, misspelt names included: to see a format without a download.
 
 Each writer is the inverse of the reader of the same name; what a format cannot hold (our loss types, causes, infrared
-pairs; the true depth in TROSD) is left out. Colour becomes JPEG again where the format says so. Our scenes have a camera
-each, these formats one for all: where they keep it in a file, that holds the first scene's.
+pairs; the true depth in TROSD) is left out. Colour becomes JPEG again where the format says so. Our scenes have a
+camera each, these formats one for all: where they keep it in a file, that holds the first scene's.
 """
 
 import json

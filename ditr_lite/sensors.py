@@ -103,10 +103,10 @@ PRESETS = {
         baseline_m=0.075,
         offset_m=0.030,
         range_m=(0.40, 3.5),
-        matcher=Matcher(block=15, uniqueness=8, speckle=300, texture=5.0, edge=2, holes=0.01, noise=2.0),
+        matcher=Matcher(block=9, uniqueness=8, speckle=300, texture=8.0, edge=1, holes=0.01, noise=2.0),
         dots=0.06,
         step_px=0.05,  # an eighth of a pixel of the full picture, 577 px of focal length
-        signature="wide shadows on the side that the projector cannot reach, stepped depth, nothing nearer than 0.4 m",
+        signature="a shadow on the side that the projector cannot reach, depth in steps, nothing nearer than 0.4 m",
     ),
 }
 
