@@ -22,6 +22,7 @@ MODULES = (
     "readers_folder",
     "datasets",
     "exports",
+    "live",
     "loss_types",
     "summaries",
     "metrics",
@@ -40,6 +41,7 @@ MODULES = (
     "baselines",
     "protocols",
     "evaluation",
+    "robustness",
     "latency",
     "scenedata",
     "training",
@@ -56,10 +58,12 @@ MODULES = (
     "papermap",
     "panels",
     "viz",
+    "cloud3d",
     "checker",
     "checks",
     "checks_diffusion",
     "checks_pipeline",
+    "checks_camera",
     "commands",
 )
 
