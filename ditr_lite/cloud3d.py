@@ -12,7 +12,7 @@ import plotly.graph_objects as go
 
 from .camera import unproject
 from .data import Camera
-from .panels import DPI, FONT, Picture
+from .panels import FONT, Picture
 
 MIME = "application/vnd.plotly.v1+json"
 AXES = ("x, right (m)", "z, away (m)", "y, up (m)")  # as drawn: the vertical axis last
@@ -72,7 +72,7 @@ def interactive(
     for k, (title, (points, colours)) in enumerate(clouds.items()):
         scene = f"scene{k + 1 if k else ''}"
         x, y, z = np.round(points, 3).T
-        text = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in colours // 16 * 17]
+        text = [f"#{r:x}{g:x}{b:x}" for r, g, b in colours // 16]  # three digits: a third of the figure is colours
         marker = {"size": 2, "color": text}
         figure.add_trace(go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, name=title, scene=scene))
         width = 1 / len(clouds)
@@ -108,22 +108,19 @@ class Interactive:
         return {MIME: json.loads(self.figure.to_json()), "text/plain": words}
 
 
-def static(maps: Mapping[str, np.ndarray], rgb: np.ndarray, camera: Camera, max_points: int = 12_000) -> Picture:
-    """Return the same clouds as a picture, seen from a little above and to the right of the camera."""
-    figure = Picture(4.2 * len(maps), 3.6)
-    figure.set_dpi(DPI)
+def static(maps: Mapping[str, np.ndarray], rgb: np.ndarray, camera: Camera, max_points: int = 8000) -> Picture:
+    """Return the same clouds as a picture, seen from the right of the camera and a little above it."""
+    figure = Picture(3.4 * len(maps), 3.0)
     clouds = [points_of(depth, rgb, camera, max_points) for depth in maps.values()]
     low, high = _limits([points for points, _ in clouds])
     for k, (title, (points, colours)) in enumerate(zip(maps, clouds, strict=True)):
         ax = figure.add_subplot(1, len(maps), k + 1, projection="3d", computed_zorder=False)
         ax.scatter(*points.T, s=1.5, c=colours / 255.0, linewidths=0, depthshade=False)
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-        ax.set_box_aspect(np.maximum(high - low, 1e-3))
-        ax.view_init(elev=25, azim=-60)
+        ax.set_box_aspect(np.maximum(high - low, 1e-3), zoom=1.35)
+        ax.view_init(elev=20, azim=-35)
         ax.set_title(title, fontsize=FONT)
-        for name, axis in zip(AXES, (ax.xaxis, ax.yaxis, ax.zaxis), strict=True):
-            axis.set_label_text(name, fontsize=FONT - 1)
-        ax.tick_params(labelsize=FONT - 2)
+        ax.set_axis_off()
     return figure
 
 
