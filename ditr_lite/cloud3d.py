@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import plotly.graph_objects as go
+from PIL import Image
 
 from .camera import unproject
 from .data import Camera
@@ -72,8 +73,8 @@ def interactive(
     for k, (title, (points, colours)) in enumerate(clouds.items()):
         scene = f"scene{k + 1 if k else ''}"
         x, y, z = np.round(points, 3).T
-        text = [f"#{r:x}{g:x}{b:x}" for r, g, b in colours // 16]  # three digits: a third of the figure is colours
-        marker = {"size": 2, "color": text}
+        index, scale = _palette(colours)
+        marker = {"size": 2, "color": index, "colorscale": scale, "cmin": 0, "cmax": len(scale) - 1}
         figure.add_trace(go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, name=title, scene=scene))
         width = 1 / len(clouds)
         placed = {"x": [k * width, (k + 1) * width], "y": [0, 1]}
@@ -91,6 +92,16 @@ def interactive(
         figure.add_annotation(text=title, x=(k + 0.5) * width, y=1, xref="paper", yref="paper", showarrow=False)
     figure.update_layout(height=height, margin={"l": 0, "r": 0, "t": 24, "b": 0}, showlegend=False, template="none")
     return figure
+
+
+def _palette(colours: np.ndarray, count: int = 48) -> tuple[np.ndarray, list[list[float | str]]]:
+    """Return (N,) uint8 indices into a few typical colours, and these as a plotly scale: a tenth of a list of names."""
+    if not len(colours):
+        return np.zeros(0, np.uint8), [[0.0, "rgb(0,0,0)"], [1.0, "rgb(0,0,0)"]]
+    image = Image.fromarray(colours[None]).quantize(count, kmeans=1, dither=Image.Dither.NONE)
+    index = np.asarray(image)[0]
+    table = np.array(image.getpalette(), np.uint8).reshape(-1, 3)[: max(int(index.max()) + 1, 2)]
+    return index, [[k / (len(table) - 1), f"rgb({r},{g},{b})"] for k, (r, g, b) in enumerate(table.tolist())]
 
 
 class Interactive:

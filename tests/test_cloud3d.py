@@ -50,3 +50,12 @@ def test_the_picture_shows_both_clouds_in_one_frame():
     assert figure.png()[:4] == b"\x89PNG"
     first, second, empty = figure.axes
     assert first.get_xlim() == second.get_xlim() == empty.get_xlim() and first.get_title() == "raw"
+
+
+def test_the_palette_stays_near_the_colours():
+    colours = SCENE.rgb[::7, ::7].reshape(-1, 3)
+    index, scale = cloud3d._palette(colours)
+    table = np.array([[int(c) for c in name[4:-1].split(",")] for _, name in scale])
+    assert len(scale) <= 48 and scale[0][0] == 0 and scale[-1][0] == 1 and index.max() < len(scale)
+    assert np.abs(table[index] - colours.astype(int)).mean() < 8
+    assert len(cloud3d._palette(colours[:0])[0]) == 0 and len(cloud3d._palette(colours[:1])[1]) >= 2
