@@ -100,7 +100,8 @@ def _palette(colours: np.ndarray, count: int = 48) -> tuple[np.ndarray, list[lis
         return np.zeros(0, np.uint8), [[0.0, "rgb(0,0,0)"], [1.0, "rgb(0,0,0)"]]
     image = Image.fromarray(colours[None]).quantize(count, kmeans=1, dither=Image.Dither.NONE)
     index = np.asarray(image)[0]
-    table = np.array(image.getpalette(), np.uint8).reshape(-1, 3)[: max(int(index.max()) + 1, 2)]
+    table = np.array(image.getpalette(), np.uint8).reshape(-1, 3)[: int(index.max()) + 1]
+    table = table if len(table) > 1 else np.repeat(table, 2, axis=0)  # a scale has two ends
     return index, [[k / (len(table) - 1), f"rgb({r},{g},{b})"] for k, (r, g, b) in enumerate(table.tolist())]
 
 
