@@ -11,7 +11,7 @@ from typing import NoReturn
 
 from ditr_lite import boundary_commands, commands
 
-DATASETS = ("cleargrasp", "todd", "std", "trosd", "transcg")
+DATASETS = ("cleargrasp", "cleargrasp_synthetic", "todd", "std", "dreds", "trosd", "transcg", "folder")
 PROTOCOLS = ("cleargrasp", "lidf", "transparenet", "dfnet", "swindrnet", "d3roma", "marigold")
 BAD_INPUT = (ValueError, OSError, ImportError)  # OSError: files that are absent, unreadable, or cannot be written
 
@@ -100,6 +100,14 @@ def _bench(p: Parser) -> None:
 
 def _simulate(p: Parser) -> None:
     p.add_argument("--split", choices=("train", "val", "test"), help="val and test hold out shapes and materials")
+    p.add_argument("--sensor", metavar="NAME", help="d435, d415, l515 or structure instead of a random sensor")
+    p.add_argument(
+        "--export-as",
+        nargs=2,
+        metavar=("DATASET", "DIR"),
+        help="render nothing: write existing scenes (--split, default val; --root) into DIR in a dataset's layout",
+    )
+    p.add_argument("--root", type=Path, help="folder of the scenes to export (default: the shipped ones)")
     p.add_argument("--count", type=int, help="scenes wanted")
     p.add_argument("--out", type=Path, help="folder for the split's folder (default outputs/scenes, or data_samples)")
     p.add_argument("--workers", type=int, help="processes (default: one per core)")

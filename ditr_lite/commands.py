@@ -88,10 +88,15 @@ def bench(args: Namespace) -> None:
 
 
 def simulate(args: Namespace) -> None:
-    """Render scenes of one split; without a split, the scenes that the repository ships."""
+    """Render scenes of one split, by default those that the repository ships; or export existing ones."""
+    if args.export_as:
+        return export(args)
+    if args.root:
+        raise ValueError("--root is where --export-as takes its scenes from; rendering goes to --out")
     workers = args.workers or os.cpu_count() or 1
     if args.split is None:
         wanted = {"--count": args.count, "--first-seed": args.first_seed, "--infrared": args.infrared}
+        wanted |= {"--sensor": args.sensor}
         if given := [name for name, value in wanted.items() if value is not None]:
             raise ValueError(f"{given[0]} needs --split; without a split the shipped scenes are made")
         jobs = [(split, count, 0, infrared) for split, count, infrared in SHIPPED]
@@ -102,10 +107,23 @@ def simulate(args: Namespace) -> None:
     from ditr_lite.data import SAMPLES
     from ditr_lite.simulate import simulate_many
 
-    root = args.out or (SAMPLES if args.split is None else Path("outputs/scenes"))
+    home = Path("outputs/sensors") / args.sensor if args.sensor else Path("outputs/scenes")
+    root = args.out or (SAMPLES if args.split is None else home)
     for split, count, first_seed, infrared in jobs:
-        paths = simulate_many(root, split, count, first_seed, workers, infrared)
+        paths = simulate_many(root, split, count, first_seed, workers, infrared, args.sensor)
         print(f"{Path(root) / split}: {len(paths)} scenes, {paths[0].name} to {paths[-1].name}")
+
+
+def export(args: Namespace) -> None:
+    """Write existing scenes in the layout of a real dataset."""
+    from ditr_lite import exports
+    from ditr_lite.data import list_samples, load_sample
+
+    name, folder = args.export_as
+    split = args.split or "val"
+    names = list_samples(split, args.root)[: args.count]
+    exports.export(name, folder, (load_sample(n, args.root) for n in names), split)
+    print(f"{folder}: {len(names)} frames; read them with `evaluate --dataset {name} --root {folder}`")
 
 
 def train(args: Namespace) -> None:

@@ -11,6 +11,8 @@ from ditr_lite.textures import environment, texture
 
 _CV_TO_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])  # our cameras: x right, y down; Mitsuba's: x left, y up
 _SEGMENTS = 64  # of a full turn
+PROJECTOR_DEG = 80.0  # field of view of the infrared projector
+SLIDE_POWER, SLIDE_AMBIENT = 2.0, 0.03  # of a projector that shows a given picture
 _BLOCK = 32  # pixels a side that share a stream of random numbers; Mitsuba would choose by the number of threads
 
 
@@ -30,13 +32,19 @@ def mitsuba() -> Any:
     return mi
 
 
-def load(scene: Scene, projector_pose: np.ndarray | None = None, rng: np.random.Generator | None = None) -> Any:
+def load(
+    scene: Scene,
+    projector_pose: np.ndarray | None = None,
+    rng: np.random.Generator | None = None,
+    slide: np.ndarray | None = None,
+) -> Any:
     """Build the Mitsuba scene: with room lights for the RGB view, or with a dot projector for the infrared views.
 
     Args:
         scene: what to build.
         projector_pose: (4, 4) world from projector; None for room light.
         rng: draws the dots, their strength and the ambient infrared light; needed with a projector.
+        slide: (N, N) in [0, 1], what the projector shows instead of drawn dots; everything else is then fixed, too.
     """
     mi = mitsuba()
     infrared = projector_pose is not None
@@ -44,12 +52,15 @@ def load(scene: Scene, projector_pose: np.ndarray | None = None, rng: np.random.
     for i, thing in enumerate(scene.things):
         parts[f"thing_{i + 1}"] = _mesh(mi, f"thing_{i + 1}", thing, infrared)
     if infrared:
-        dots = np.repeat(dot_pattern(rng, share=rng.uniform(0.025, 0.06))[..., None], 3, axis=2)
+        pattern = dot_pattern(rng, share=rng.uniform(0.025, 0.06)) if slide is None else slide.astype(np.float32)
+        dots = np.repeat(pattern[..., None], 3, axis=2)
         image = {"type": "bitmap", "bitmap": mi.Bitmap(dots), "raw": True, "filter_type": "bilinear"}
         pose = mi.ScalarTransform4f(projector_pose @ _CV_TO_MITSUBA)
-        scale = float(rng.uniform(1.0, 2.5))
-        parts["projector"] = {"type": "projector", "irradiance": image, "scale": scale, "fov": 80.0, "to_world": pose}
-        parts["ambient"] = {"type": "constant", "radiance": float(np.exp(rng.uniform(np.log(0.01), np.log(0.25))))}
+        scale = float(rng.uniform(1.0, 2.5)) if slide is None else SLIDE_POWER
+        beam = {"irradiance": image, "scale": scale, "fov": PROJECTOR_DEG}
+        parts["projector"] = {"type": "projector", **beam, "to_world": pose}
+        light = float(np.exp(rng.uniform(np.log(0.01), np.log(0.25)))) if slide is None else SLIDE_AMBIENT
+        parts["ambient"] = {"type": "constant", "radiance": light}
     else:
         parts["ambient"] = {"type": "envmap", "bitmap": mi.Bitmap(environment(scene.seed, scene.ambient))}
         for i, light in reversed(list(enumerate(scene.lights))):

@@ -152,7 +152,21 @@ def raw_depth(
     valid = disparity > 0
     depth[valid] = stereo.camera.fx * stereo.baseline_m / disparity[valid]
     depth[depth > 4.0] = 0  # the range in which such a camera reports
-    drop = dropouts(depth, matcher, rng)
+    return carry_over(depth, dropouts(depth, matcher, rng), stereo, camera)
+
+
+def carry_over(depth: np.ndarray, drop: np.ndarray, stereo: Stereo, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Return what a depth camera's map (h, w) becomes in the RGB view, and which pixels were lost to ``drop``.
+
+    Args:
+        depth: (h, w) float32 metres in the depth camera's view, 0 = missing.
+        drop: (h, w) bool, readings that the sensor throws away.
+        stereo: where the depth camera stands.
+        camera: of the RGB view.
+
+    Returns:
+        (H, W) float32 metres, 0 = missing; (H, W) bool.
+    """
     motion = stereo.motion()
     before = reproject(depth, stereo.camera, camera, motion)
     after = reproject(np.where(drop, 0, depth).astype(np.float32), stereo.camera, camera, motion)

@@ -15,45 +15,41 @@ import cv2
 import numpy as np
 from tqdm.auto import tqdm
 
-from ditr_lite import sensor
+from ditr_lite import sensor, sensors
 from ditr_lite.data import OPAQUE, Camera, Sample, Stereo, save_sample
 from ditr_lite.loss_types import label
 from ditr_lite.render import load, mitsuba, render, truth
-from ditr_lite.scenes import Thing, random_scene
+from ditr_lite.scenes import Scene, Thing, random_scene
 
 SIZE = (192, 256)  # height, width of the RGB view
 INFRARED_SIZE = (232, 360)  # wider than the RGB view, so that matching has room
 RGB_PASSES, RGB_SAMPLES, INFRARED_SAMPLES = 4, 4, 5  # paths per pixel
 
 
-def simulate(seed: int, split: str = "train", keep_infrared: bool = False) -> Sample:
-    """Render one scene and measure it with a random active-stereo sensor.
+def simulate(seed: int, split: str = "train", keep_infrared: bool = False, preset: str | None = None) -> Sample:
+    """Render one scene and measure it with a random active-stereo sensor, or with one of four known ones.
 
     Args:
         seed: scene seed; the same seed, split and machine give the same bytes.
         split: ``train``, ``val`` or ``test`` (held-out shapes and materials).
         keep_infrared: also return the infrared pair.
+        preset: a name of ``sensors.PRESETS``; None draws a sensor at random.
 
     Returns:
         Sample: with region, instances, loss types, causes and both cameras.
     """
     scene = random_scene(seed, split)
     rng = np.random.default_rng([seed, 7])
-    camera, stereo = _rig(rng)
-    left_pose = scene.camera_pose @ stereo.motion()
-    right_pose = left_pose @ _shift(stereo.baseline_m)
+    kind = None if preset is None else sensors.preset(preset)
+    camera, stereo = _rig(rng) if kind is None else sensors.rig(kind, SIZE)
     visible = load(scene)
     rgb = photograph(visible, camera, scene.camera_pose, rng, seed)
     points, depth_gt, ids = truth(visible, camera, scene.camera_pose, seed)
-
-    lit = load(scene, left_pose @ _shift(stereo.baseline_m * rng.uniform(0.2, 0.8)), rng)
-    matcher = sensor.random_matcher(rng)
-    pair, seen = [], []
-    for pose in (left_pose, right_pose):
-        radiance = render(lit, stereo.camera, pose, INFRARED_SAMPLES, seed).mean(axis=2)
-        pair.append(sensor.expose(radiance, matcher, rng))
-        seen.append(sensor.visible_from(points, truth(lit, stereo.camera, pose, seed)[1], stereo.camera, pose))
-    depth, dropped = sensor.raw_depth(*pair, stereo, camera, matcher, rng)
+    if kind is None:
+        depth, dropped, seen, pair, how = _random_sensor(scene, points, camera, stereo, rng, seed)
+    else:
+        depth, dropped, seen, pair = sensors.measure(kind, scene, points, camera, stereo, INFRARED_SAMPLES, seed)
+        how = {"sensor": preset}
 
     kinds = np.array([OPAQUE, *(thing.kind for thing in scene.things)], np.uint8)
     material = kinds[ids]
@@ -72,12 +68,35 @@ def simulate(seed: int, split: str = "train", keep_infrared: bool = False) -> Sa
         ir_left=pair[0] if keep_infrared else None,
         ir_right=pair[1] if keep_infrared else None,
         stereo=stereo,
-        meta={"seed": seed, "split": split, **scene.style, "matcher": vars(matcher), "things": _describe(scene.things)},
+        meta={"seed": seed, "split": split, **scene.style, **how, "things": _describe(scene.things)},
     )
 
 
+def _random_sensor(
+    scene: Scene, points: np.ndarray, camera: Camera, stereo: Stereo, rng: np.random.Generator, seed: int
+) -> tuple[np.ndarray, np.ndarray, sensors.Seen, list[np.ndarray | None], dict[str, Any]]:
+    """Measure with a pattern, projector and matcher drawn from ``rng``; return as :func:`sensors.measure`, and how."""
+    left_pose = scene.camera_pose @ stereo.motion()
+    right_pose = left_pose @ _shift(stereo.baseline_m)
+    lit = load(scene, left_pose @ _shift(stereo.baseline_m * rng.uniform(0.2, 0.8)), rng)
+    matcher = sensor.random_matcher(rng)
+    pair, seen = [], []
+    for pose in (left_pose, right_pose):
+        radiance = render(lit, stereo.camera, pose, INFRARED_SAMPLES, seed).mean(axis=2)
+        pair.append(sensor.expose(radiance, matcher, rng))
+        seen.append(sensor.visible_from(points, truth(lit, stereo.camera, pose, seed)[1], stereo.camera, pose))
+    depth, dropped = sensor.raw_depth(*pair, stereo, camera, matcher, rng)
+    return depth, dropped, seen, pair, {"matcher": vars(matcher)}
+
+
 def simulate_many(
-    root: Path | str, split: str, count: int, first_seed: int = 0, workers: int = 1, infrared: int = 0
+    root: Path | str,
+    split: str,
+    count: int,
+    first_seed: int = 0,
+    workers: int = 1,
+    infrared: int = 0,
+    preset: str | None = None,
 ) -> list[Path]:
     """Render ``count`` scenes into ``root/split/``; scenes that are already there are kept, so a stopped run resumes.
 
@@ -92,13 +111,16 @@ def simulate_many(
         first_seed: first seed to try.
         workers: processes; one per core is best.
         infrared: how many of the first seeds keep their infrared pair.
+        preset: as in :func:`simulate`; give each sensor a root of its own, for the scenes have the same names.
 
     Raises:
-        ValueError: for an unknown split or a count below 1.
+        ValueError: for an unknown split or sensor, or a count below 1.
         ImportError: without Mitsuba.
     """
     if split not in ("train", "val", "test") or count < 1:
         raise ValueError(f"expected a split of train, val, test and a count >= 1, got {split!r} and {count}")
+    if preset is not None:
+        sensors.preset(preset)
     mitsuba()
     folder = Path(root) / split
     folder.mkdir(parents=True, exist_ok=True)
@@ -111,7 +133,9 @@ def simulate_many(
     ):
         while len(done) < count:
             batch = [next(seeds) for _ in range(count - len(done))]
-            jobs = {pool.submit(_write, folder, split, seed, seed - first_seed < infrared): seed for seed in batch}
+            jobs = {
+                pool.submit(_write, folder, split, seed, seed - first_seed < infrared, preset): seed for seed in batch
+            }
             for job in as_completed(jobs):
                 path = job.result()
                 if path is not None:
@@ -120,13 +144,13 @@ def simulate_many(
     return sorted(done)
 
 
-def _write(folder: Path, split: str, seed: int, infrared: bool) -> Path | None:
+def _write(folder: Path, split: str, seed: int, infrared: bool, preset: str | None) -> Path | None:
     path, skipped = folder / f"{split}_{seed:05d}", folder / f".skipped_{seed:05d}"
     if (path / "meta.json").is_file():
         return path
     if skipped.exists():
         return None
-    sample = simulate(seed, split, keep_infrared=infrared)
+    sample = simulate(seed, split, infrared, preset)
     if sample.region.mean() < 0.005 or (sample.depth > 0).mean() < 0.25:
         skipped.touch()
         return None

@@ -244,6 +244,7 @@ def test_bench_adds_latency(scenes, weights, tmp_path, capsys):
         (["evaluate", "--dataset", "nyu", "--root", "."], "invalid choice: 'nyu'"),
         (["evaluate", "--json", "e.txt"], "cannot write e.txt: expected a name ending in .json"),
         (["simulate", "--count", "3"], "--count needs --split"),
+        (["simulate", "--sensor", "d435"], "--sensor needs --split"),
         (["simulate", "--split", "test"], "--split needs --count"),
         (["simulate", "--split", "test", "--count", "0"], "a count >= 1"),
         (["train", "--part", "wheel"], "unknown part 'wheel'"),
@@ -282,11 +283,16 @@ def test_simulate_calls(monkeypatch, tmp_path, capsys):
 
     monkeypatch.setattr("ditr_lite.simulate.simulate_many", fake)
     assert main(["simulate", "--workers", "2"]) == 0
-    assert calls == [(data.SAMPLES, s, n, 0, 2, i) for s, n, i in (("test", 128, 4), ("val", 48, 2), ("train", 24, 2))]
+    assert calls == [
+        (data.SAMPLES, s, n, 0, 2, i, None) for s, n, i in (("test", 128, 4), ("val", 48, 2), ("train", 24, 2))
+    ]
     calls.clear()
     argv = ["simulate", "--split", "val", "--count", "5", "--first-seed", "9", "--infrared", "1", "--workers", "3"]
     assert main([*argv, "--out", str(tmp_path)]) == 0
-    assert calls == [(tmp_path, "val", 5, 9, 3, 1)]
+    assert calls == [(tmp_path, "val", 5, 9, 3, 1, None)]
+    calls.clear()
+    assert main(["simulate", "--sensor", "l515", "--split", "test", "--count", "1", "--workers", "1"]) == 0
+    assert calls == [(Path("outputs/sensors/l515"), "test", 1, 0, 1, 0, "l515")]
 
 
 def test_train_all_goes_through_the_parts_and_makes_usable_weights(scenes, tmp_path, frame, capsys):

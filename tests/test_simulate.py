@@ -123,7 +123,7 @@ def test_many_scenes_resume_and_skip_by_seed_alone(tmp_path, monkeypatch):
     shipped = simulate(4, "test")
     blank = replace(shipped, region=np.zeros_like(shipped.region))
 
-    def stand_in(seed, split, keep_infrared=False):
+    def stand_in(seed, split, keep_infrared=False, preset=None):
         calls.append(seed)
         return blank if seed % 2 else shipped
 
