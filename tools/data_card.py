@@ -169,8 +169,8 @@ reflective, or when the sensor reads less than a quarter of the pixels. The same
 versions in `environment.txt`, gives the same bytes; other processors may round the last digit differently. More
 training scenes than fit here: `python -m ditr_lite simulate --split train --count 1500 --out outputs/scenes`.
 
-Twelve pictures were rendered with their two lamps in the other order, so that rendering them again leaves other noise
-in `rgb.jpg` and nothing else: test_00007, 42, 64, 73, 108, 113, 120 and 132, val_00015, 18 and 49, train_00024.
+Eight pictures were rendered with their two lamps in the other order, so that rendering them again leaves other noise
+in `rgb.jpg` and nothing else: test_00007, 42, 64, 73, 108, 113, 120 and 132.
 
 License: Creative Commons Attribution 4.0 International (CC BY 4.0), see `LICENSE-CC-BY-4.0`.
 
