@@ -31,7 +31,7 @@ RECIPES = {
     "region": Recipe(steps=2800, batch=8, lr=2e-3, weight_decay=1e-2),
     "optical": Recipe(steps=1700, batch=8, lr=1e-3),
     "geometric": Recipe(steps=800, batch=8, lr=1e-3),
-    "detail": Recipe(steps=1000, batch=8, lr=2e-3),
+    "detail": Recipe(steps=2400, batch=8, lr=2e-3),
 }
 
 
