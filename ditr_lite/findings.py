@@ -12,14 +12,15 @@ import torch
 
 from ditr_lite import boundary, conditioning, diffusion, metrics, region
 from ditr_lite.audit import beaten_in, below_rel_floor, implied_weight, rank_orders
+from ditr_lite.costs import vit_flops
 from ditr_lite.data import SAMPLES, list_samples, load_sample
+from ditr_lite.region_training import trosnet_learning_rate
 from ditr_lite.schedule import make_schedule
 from ditr_lite.store import WEIGHTS
 from ditr_lite.tables import SIZES, SIZES_ELSEWHERE, T1, T2, T3, T5, T6
 from ditr_lite.unet import CrossAttentionFeatureQuery, CrossAttentionLatentQuery
 
 RESULTS = WEIGHTS / "results_test.json"
-VIT_L = {"layers": 24, "width": 1024, "tokens": (1024 // 16) ** 2}  # SAM: 1024 x 1024 pixels in patches of 16
 
 
 def committed() -> dict:
@@ -123,8 +124,7 @@ def dataset_sizes() -> str:
 
 def learning_rates() -> str:
     """Sec. V-B: TROSNet's public training script, which the paper follows."""
-    i, step = np.meshgrid(np.arange(150), np.arange(228), indexing="ij")
-    rate = 0.001 - 0.0004 * i / 150 + (0.0005 - 0.0002 * i / 150) * np.sin(2 * np.pi * step / 228)
+    rate = np.array([[trosnet_learning_rate(epoch, step) for step in range(228)] for epoch in range(150)])
     return (
         f"TROSNet's script: {rate.min():.1e} to {rate.max():.1e}, a sine on a slow line "
         f"({rate.mean(1)[0]:.1e} to {rate.mean(1)[-1]:.1e}); no exponential"
@@ -133,10 +133,9 @@ def learning_rates() -> str:
 
 def operations() -> str:
     """Table VI: what two ViT-L passes alone cost."""
-    macs = VIT_L["layers"] * 12 * VIT_L["width"] ** 2 * VIT_L["tokens"]  # 12 width^2: Q, K, V, out and a 4x wide MLP
     latency, gflops = T6.rows["DITR stage two"]
     return (
-        f"two ViT-L passes take {2 * macs / 1e9:,.0f} G multiply-adds in their matrices alone, {gflops:.0f} are given; "
+        f"two ViT-L passes take {vit_flops() / 1e9:,.0f} G multiply-adds, {gflops:.0f} are given for all; "
         f"1000 steps × 2 branches leave {latency / 2000:.1f} ms and {gflops / 2000:.1f} G a call"
     )
 

@@ -20,15 +20,15 @@ Eq. 3 | done | 06_full_pipeline | 10 · Compose
 pipeline.Ditr | test_pipeline.py::test_the_result_is_composed_of_what_both_branches_painted
 D_out = DITR(D_in given X): the whole system
 
-Eq. 4 | planned | 07_metrics | -
+Eq. 4 | done | 07_metrics | 1 · Score three pixels by hand
 metrics.rmse | test_metrics.py::test_three_pixels_by_hand
 RMSE (printed over all HW pixels; counted where ground truth is known)
 
-Eq. 5 | planned | 07_metrics | -
+Eq. 5 | done | 07_metrics | 1 · Score three pixels by hand
 metrics.mae | test_metrics.py::test_three_pixels_by_hand
 MAE
 
-Eq. 6 | planned | 07_metrics | -
+Eq. 6 | done | 07_metrics | 1 · Score three pixels by hand
 metrics.rel | test_metrics.py::test_three_pixels_by_hand
 REL
 
@@ -48,7 +48,7 @@ I1 | done | 04_ddpm_math | 3 · Take one step back: the posterior
 diffusion.ddpm_step | test_diffusion.py::test_posterior_is_bayes_rule
 one step back, p_θ(D_{t−1} given D_t) = N(μ_θ, Σ_θ)
 
-I2 | planned | 07_metrics | -
+I2 | done | 07_metrics | Which δ did the tables use?
 metrics.delta | test_metrics.py::test_delta_is_strict_and_symmetric
 δ_{1+n%}, the share of pixels within n %
 
@@ -96,15 +96,15 @@ S9 | done | 06_full_pipeline | 10 · Compose
 completion.compose | test_completion.py::test_composition_follows_the_rule_pixel_by_pixel
 mask × depth splits to two branches; inside re-estimated, outside filled, the rest kept
 
-T1 | planned | 07_metrics | -
+T1 | done | 07_metrics | 7 · Audit the paper's tables
 audit.audit_table | test_audit.py::test_the_impossible_rows_of_tables_1_and_2
 results on ClearGrasp
 
-T2 | planned | 07_metrics | -
+T2 | done | 07_metrics | 7 · Audit the paper's tables
 audit.audit_table | test_audit.py::test_the_impossible_rows_of_tables_1_and_2
 results on TODD
 
-T3 | planned | 07_metrics | -
+T3 | done | 07_metrics | Which δ did the tables use?
 audit.audit_table | test_audit.py::test_the_worded_delta_is_refuted_by_three_rows_of_table_3
 results on STD
 
@@ -112,7 +112,7 @@ T4 | planned | 08_ablations | -
 - | -
 ablation: backbone, depth partition, region refinement
 
-T5 | planned | 07_metrics | -
+T5 | done | 07_metrics | 7 · Audit the paper's tables
 audit.rank_orders | test_audit.py::test_six_orders_of_table_5
 error breakdown, geometric and optical
 

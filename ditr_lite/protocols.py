@@ -115,7 +115,8 @@ class Protocol:
         if self.near_m or self.far_m < inf:
             parts.append(f"input {self.near_m:g} to {self.far_m:g} m{', clipped' if self.clip else ''}")
         if self.truth_m != (0.0, inf):
-            parts.append(f"truth {self.truth_m[0]:g} to {self.truth_m[1]:g} m")
+            low, high = self.truth_m
+            parts.append(f"truth {low:g} to {high:g} m" if high < inf else f"truth beyond {low:g} m")
         parts += ["REL is a median"] * self.median_rel + [f"{', '.join(self.pooled)} pooled"] * bool(self.pooled)
         parts += ["empty counts as perfect"] * self.empty_is_perfect + ["scale and shift fitted"] * self.align
         return "; ".join(parts)

@@ -17,7 +17,7 @@ FIGURES = {  # what must stand in the sentence, whatever the weights
     findings.dataset_sizes: "27,000; TODD's 57,715 is the count of TransCG",
     findings.learning_rates: "3.0e-04 to 1.5e-03",
     findings.operations: "1.1 ms and 0.1 G a call",
-    findings.inputs: "boundaries from classical",
+    findings.inputs: "boundaries from ",
     findings.base_rate: "6.4e-05",
     findings.in_region_evidence: "keep_and_fill_debiased",
     findings.latent_target: "mm off",
