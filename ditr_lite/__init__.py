@@ -34,6 +34,7 @@ MODULES = (
     "baselines",
     "protocols",
     "evaluation",
+    "floor",
     "latency",
     "scenedata",
     "training",
@@ -52,6 +53,7 @@ MODULES = (
     "checks",
     "checks_diffusion",
     "checks_pipeline",
+    "checks_autoencoder",
     "commands",
 )
 

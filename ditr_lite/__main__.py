@@ -1,4 +1,4 @@
-"""The command line: ``python -m ditr_lite complete | evaluate | simulate | train | bench``.
+"""The command line: ``python -m ditr_lite complete | evaluate | simulate | train | bench | floor``.
 
 Bad input ends with exit code 2 and one line on stderr.
 """
@@ -52,6 +52,7 @@ def parser() -> Parser:
         "simulate": (_simulate, "render scenes; without --split, the shipped ones (existing scenes are kept)"),
         "train": (_train, "train one part or all; a stopped run goes on where it was"),
         "bench": (_bench, "the tables of evaluate plus time and operations of each stage"),
+        "floor": (_floor, "measure what the autoencoder loses of the ground truth, and how many codes it uses"),
     }
     which = top.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
     for name, (add, text) in adders.items():
@@ -89,6 +90,14 @@ def _bench(p: Parser) -> None:
     p.add_argument("--split", default="test", help="test (default), val or train")
     p.add_argument("--runs", type=int, default=7, help="runs of a stage whose median is taken, 5 or more (%(default)s)")
     _scoring(p)
+
+
+def _floor(p: Parser) -> None:
+    p.add_argument("--root", type=Path, help="a folder of other rendered scenes")
+    p.add_argument("--split", default="test", help="test (default), val or train")
+    p.add_argument("--limit", type=int, help="only the first frames")
+    p.add_argument("--json", type=Path, help="also write the figures, with the weights' checksum, to this file")
+    p.add_argument("--weights", type=Path, help="weights folder (default: the shipped one)")
 
 
 def _simulate(p: Parser) -> None:

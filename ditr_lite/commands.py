@@ -86,6 +86,21 @@ def bench(args: Namespace) -> None:
         write_json(args.json, evaluation.to_json(results, _line(args), args.weights, **notes))
 
 
+def floor(args: Namespace) -> None:
+    """Print what is lost when the ground truth of a split is encoded and decoded, and how many codes are in use."""
+    _check_target(args.json, ".json")
+    source, frames = _frames(args)
+    from ditr_lite.floor import format_floor, load_autoencoder, measure_floor
+    from ditr_lite.store import read_card
+
+    report = measure_floor(frames, load_autoencoder(args.weights))
+    print(f"{source}, ground truth encoded and decoded")
+    print(format_floor(report))
+    if args.json:
+        checksum = read_card(args.weights)["parts"]["autoencoder"]["sha256"]
+        write_json(args.json, {"command": _line(args), "weights_sha256": checksum, "source": source, **report})
+
+
 def simulate(args: Namespace) -> None:
     """Render scenes of one split; without a split, the scenes that the repository ships."""
     workers = args.workers or os.cpu_count() or 1
