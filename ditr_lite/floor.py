@@ -49,7 +49,9 @@ def depth_edges(depth_gt: np.ndarray, relative: float = EDGE) -> np.ndarray:
         raise ValueError(f"expected a relative step > 0, got {relative}; 0.05 is 5 %")
     known = torch.from_numpy(depth_gt > 0)[None, None]
     log = torch.from_numpy(np.log(np.where(depth_gt > 0, depth_gt, 1).astype(np.float64)))[None, None]
-    return (depth_steps(log, known) > math.log1p(relative))[0, 0].numpy()  # max / min > 1.05: a difference of logarithms
+    return (depth_steps(log, known) > math.log1p(relative))[
+        0, 0
+    ].numpy()  # max / min > 1.05: a difference of logarithms
 
 
 @torch.no_grad()
@@ -155,7 +157,9 @@ def format_floor(report: Mapping[str, Any]) -> str:
         with_it, without = (_text(report[key][name]) for key in ("rmse_m", "rmse_m_unquantized"))
         lines.append(name.ljust(10) + with_it.rjust(30) + without.rjust(26) + f"{report['pixels'][name]:14,} px")
     lines.append(f"edge: a 4-neighbour is more than {step:.0f} % nearer or farther; interior: all other pixels")
-    used = f"{codes['used']:,} of {codes['total']:,} ({codes['share']:.0%}) at least once by {codes['vectors']:,} vectors"
+    used = (
+        f"{codes['used']:,} of {codes['total']:,} ({codes['share']:.0%}) at least once by {codes['vectors']:,} vectors"
+    )
     lines.append(f"codes in use: {used}; perplexity {codes['perplexity']:.0f}")
     rate = f"{report['numbers_per_pixel']:.4g} numbers a pixel, {report['bits_per_pixel']:.3g} bits as indices"
     return "\n".join([*lines, f"rate: {rate}"])
