@@ -332,7 +332,7 @@ def test_datasets_offered_are_those_that_can_be_read():
     assert set(DATASETS) == set(datasets.REGISTRY)
 
 
-@pytest.mark.parametrize("command", ["complete", "evaluate", "simulate", "train", "bench"])
+@pytest.mark.parametrize("command", ["complete", "evaluate", "simulate", "train", "bench", "floor"])
 def test_every_command_explains_itself(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([command, "--help"])
