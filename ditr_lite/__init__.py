@@ -50,6 +50,7 @@ MODULES = (
     "protocols",
     "evaluation",
     "robustness",
+    "floor",
     "latency",
     "augment",
     "costs",
@@ -87,6 +88,7 @@ MODULES = (
     "checks_boundary",
     "checks_loss",
     "checks_camera",
+    "checks_autoencoder",
     "commands",
     "boundary_commands",
 )

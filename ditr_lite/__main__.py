@@ -55,6 +55,7 @@ def parser() -> Parser:
         "bench": (_bench, "the tables of evaluate plus time and operations of each stage"),
         "train-boundary": (_train_boundary, "train the learned boundary backend; a stopped run goes on where it was"),
         "bench-boundary": (_bench_boundary, "score every boundary backend against the exact outlines of the scenes"),
+        "floor": (_floor, "measure what the autoencoder loses of the ground truth, and how many codes it uses"),
     }
     which = top.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
     for name, (add, text) in adders.items():
@@ -96,6 +97,14 @@ def _bench(p: Parser) -> None:
     p.add_argument("--split", default="test", help="test (default), val or train")
     p.add_argument("--runs", type=int, default=7, help="runs of a stage whose median is taken, 5 or more (%(default)s)")
     _scoring(p)
+
+
+def _floor(p: Parser) -> None:
+    p.add_argument("--root", type=Path, help="a folder of other rendered scenes")
+    p.add_argument("--split", default="test", help="test (default), val or train")
+    p.add_argument("--limit", type=int, help="only the first frames")
+    p.add_argument("--json", type=Path, help="also write the figures, with the weights' checksum, to this file")
+    p.add_argument("--weights", type=Path, help="weights folder (default: the shipped one)")
 
 
 def _simulate(p: Parser) -> None:

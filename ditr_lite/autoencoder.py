@@ -1,4 +1,4 @@
-"""VQ autoencoder: depth maps to latents a quarter of their size, and back.
+"""VQ autoencoder: depth maps to latents a quarter of their size (or a half, an eighth, ...), and back.
 
 Paper: Sec. IV-C "Latent Space" - ``L = Enc(D_in)``, ``D_out = Dec(L)``, sampling scale 4 (two down- and two
 up-samplings), no skip connections, a quantisation layer inside the decoder. The quantiser is therefore the decoder's
@@ -9,7 +9,7 @@ Every pixel is a distance, so a blurred depth edge is a wrong depth edge. Three 
 
 * no normalisation layer anywhere: the statistics of GroupNorm or InstanceNorm change with the size of the image, and a
   network trained on crops must give the same depth on whole images;
-* stride 1 is reached only by pixel (un)shuffle: all convolutions run at stride 2 and 4, where they are affordable;
+* stride 1 is reached only by pixel (un)shuffle: all convolutions run at stride 2 and more, where they are affordable;
 * the last convolution writes the four pixels of a 2x2 block separately, so two neighbours can differ sharply.
 """
 
@@ -143,11 +143,14 @@ class ResidualBlock(nn.Module):
 
 
 class VQAutoencoder(nn.Module):
-    """Encode normalised depth into latents at a quarter of its size, and decode them.
+    """Encode normalised depth into latents of 1 / :attr:`factor` its size, and decode them.
 
     Paper: Sec. IV-C "Latent Space" and Fig. 5; the paper states neither widths nor blocks. ``paper`` takes latent
     diffusion's sizes (width 128, times 2 and 4 at strides 2 and 4, two blocks a level), ``lite`` fits them to a CPU.
     Erratum: "L = Enc(D_in)" cannot be what the diffusion learns to make; its target is Enc(ground truth).
+
+    ``config.multipliers`` has one entry a level: two of them, strides 2 and 4, are the paper's factor of 4. The other
+    parts of the system are built for 4; one or three levels are for comparing autoencoders.
 
     Latents leave ``encode`` and enter ``decode`` standardised, ``(z - latent_shift) * latent_scale``, with buffers that
     :meth:`calibrate` sets after training: diffusion assumes unit variance.
@@ -155,46 +158,45 @@ class VQAutoencoder(nn.Module):
 
     def __init__(self, config: AutoencoderConfig):
         super().__init__()
-        if len(config.multipliers) != 2:
-            raise ValueError(f"expected two multipliers, for strides 2 and 4; got {config.multipliers}")
-        c2, c4 = (config.width * m for m in config.multipliers)
-        latent = config.latent_channels
+        if not config.multipliers:
+            raise ValueError(f"expected multipliers for strides 2, 4, ..., at least one; got {config.multipliers}")
+        latent, widths = config.latent_channels, [config.width * m for m in config.multipliers]
         self.config = config
-        self.encoder = nn.Sequential(
-            nn.PixelUnshuffle(2),  # (B, 1, H, W) -> (B, 4, H/2, W/2)
-            nn.Conv2d(4, c2, 3, padding=1),
-            *(ResidualBlock(c2) for _ in range(config.res_blocks)),
-            nn.Conv2d(c2, c4, 3, stride=2, padding=1),  # -> (B, c4, H/4, W/4)
-            *(ResidualBlock(c4) for _ in range(config.res_blocks)),
-            nn.SiLU(),
-            nn.Conv2d(c4, latent, 3, padding=1),
-        )
+        encoder = [nn.PixelUnshuffle(2), nn.Conv2d(4, widths[0], 3, padding=1)]  # (B, 1, H, W) -> (B, c, H/2, W/2)
+        for i, width in enumerate(widths):
+            if i:  # -> half the size
+                encoder.append(nn.Conv2d(widths[i - 1], width, 3, stride=2, padding=1))
+            encoder += (ResidualBlock(width) for _ in range(config.res_blocks))
+        self.encoder = nn.Sequential(*encoder, nn.SiLU(), nn.Conv2d(widths[-1], latent, 3, padding=1))
         self.quantizer = VectorQuantizer(config.codes, latent, config.commitment)
-        self.decoder = nn.Sequential(  # one block more than the encoder: rebuilding is the harder half
-            nn.Conv2d(latent, c4, 3, padding=1),
-            *(ResidualBlock(c4) for _ in range(config.res_blocks + 1)),
-            nn.Upsample(scale_factor=2),  # (B, c4, H/4, W/4) -> (B, c4, H/2, W/2)
-            nn.Conv2d(c4, c2, 3, padding=1),
-            *(ResidualBlock(c2) for _ in range(config.res_blocks)),
-            nn.SiLU(),
-            nn.Conv2d(c2, 4, 3, padding=1),
-            nn.PixelShuffle(2),  # (B, 4, H/2, W/2) -> (B, 1, H, W)
-        )
+        decoder = [nn.Conv2d(latent, widths[-1], 3, padding=1)]
+        decoder += (ResidualBlock(widths[-1]) for _ in range(config.res_blocks + 1))  # rebuilding is the harder half
+        for wide, width in zip(widths[:0:-1], widths[-2::-1], strict=True):
+            decoder += [nn.Upsample(scale_factor=2), nn.Conv2d(wide, width, 3, padding=1)]  # -> twice the size
+            decoder += (ResidualBlock(width) for _ in range(config.res_blocks))
+        decoder += [nn.SiLU(), nn.Conv2d(widths[0], 4, 3, padding=1), nn.PixelShuffle(2)]  # -> (B, 1, H, W)
+        self.decoder = nn.Sequential(*decoder)
         self.register_buffer("latent_shift", torch.zeros(1, latent, 1, 1))
         self.register_buffer("latent_scale", torch.ones(1, latent, 1, 1))
 
+    @property
+    def factor(self) -> int:
+        """Return f, how many times smaller than depth the latents are along each side: 2 to the number of levels."""
+        return 2 ** len(self.config.multipliers)
+
     def encode(self, x: Tensor) -> Tensor:
-        """Return continuous, standardised latents (B, C, H/4, W/4) of normalised depth ``x`` (B, 1, H, W).
+        """Return continuous, standardised latents (B, C, H/f, W/f) of normalised depth ``x`` (B, 1, H, W).
 
         Raises:
-            ValueError: unless ``x`` is (B, 1, H, W) with H and W multiples of 4.
+            ValueError: unless ``x`` is (B, 1, H, W) with H and W multiples of f.
         """
-        if x.ndim != 4 or x.shape[1] != 1 or x.shape[2] % 4 or x.shape[3] % 4:
-            raise ValueError(f"expected depth (B, 1, H, W), H and W multiples of 4, got {tuple(x.shape)}; pad it first")
+        f = self.factor
+        if x.ndim != 4 or x.shape[1] != 1 or x.shape[2] % f or x.shape[3] % f:
+            raise ValueError(f"expected depth (B, 1, H, W), H, W multiples of {f}, got {tuple(x.shape)}; pad it first")
         return (self.encoder(x) - self.latent_shift) * self.latent_scale
 
     def decode(self, latents: Tensor, quantize: bool = True) -> Tensor:
-        """Return normalised depth (B, 1, H, W) of ``latents`` (B, C, H/4, W/4), quantised first by default."""
+        """Return normalised depth (B, 1, H, W) of ``latents`` (B, C, H/f, W/f), quantised first by default."""
         self._check(latents)
         z = latents / self.latent_scale + self.latent_shift
         return self.decoder(self.quantizer(z)[0] if quantize else z)
@@ -206,8 +208,8 @@ class VQAutoencoder(nn.Module):
             x: (B, 1, H, W) normalised depth.
 
         Returns:
-            ``reconstruction`` (B, 1, H, W), ``latents`` (B, C, H/4, W/4) before quantisation, ``commitment`` (scalar,
-            beta included), ``indices`` (B, H/4, W/4) int64.
+            ``reconstruction`` (B, 1, H, W), ``latents`` (B, C, H/f, W/f) before quantisation, ``commitment`` (scalar,
+            beta included), ``indices`` (B, H/f, W/f) int64.
         """
         latents = self.encode(x)
         z_q, commitment, indices = self.quantizer(latents / self.latent_scale + self.latent_shift)

@@ -2,7 +2,7 @@
 
 from argparse import Namespace
 
-from ditr_lite.commands import _check_scenes, _check_target, _frames, _line, write_json
+from ditr_lite.commands import _check_scenes, _check_target, _frames, _line
 
 
 def train_boundary(args: Namespace) -> None:
@@ -28,4 +28,6 @@ def bench_boundary(args: Namespace) -> None:
     results = boundary_scoring.bench(frames, tuning, args.tolerance, args.weights, args.sam)
     print(boundary_scoring.format_table(results["summary"]))
     if args.json:
+        from ditr_lite.files import write_json
+
         write_json(args.json, {"command": _line(args), "split": args.split, **results})

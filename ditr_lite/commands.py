@@ -4,13 +4,11 @@ Everything heavy is imported inside the functions, so that ``--help`` answers at
 FileNotFoundError or ImportError, and nothing is written before everything is computed.
 """
 
-import json
 import os
 import shlex
 from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 SHIPPED = (("test", 128, 4), ("val", 48, 2), ("train", 24, 2))  # data_samples: split, scenes, with infrared pair
 MAKE_TRAIN = "python -m ditr_lite simulate --split train --count 1500 --out outputs/scenes --workers 2"
@@ -54,6 +52,7 @@ def evaluate(args: Namespace) -> None:
     _check_target(args.json, ".json")
     source, frames = _frames(args)
     from ditr_lite import evaluation, protocols
+    from ditr_lite.files import write_json
 
     name = args.protocol or ("cleargrasp" if args.dataset == "cleargrasp" else None)
     protocol = protocols.PROTOCOLS.get(name)
@@ -72,6 +71,7 @@ def bench(args: Namespace) -> None:
     _check_target(args.json, ".json")
     source, frames = _frames(args)
     from ditr_lite import evaluation, latency
+    from ditr_lite.files import write_json
 
     ditr, first = _load(args), frames[0]
     rows = latency.measure(ditr, first, args.runs, args.steps, args.samples)
@@ -85,6 +85,22 @@ def bench(args: Namespace) -> None:
         notes = {"source": source, "given_region": args.given_region, "steps": args.steps, "samples": args.samples}
         notes |= {"latency": {"runs": args.runs, "frame": [height, width], "stages": rows}}
         write_json(args.json, evaluation.to_json(results, _line(args), args.weights, **notes))
+
+
+def floor(args: Namespace) -> None:
+    """Print what is lost when the ground truth of a split is encoded and decoded, and how many codes are in use."""
+    _check_target(args.json, ".json")
+    source, frames = _frames(args)
+    from ditr_lite.files import write_json
+    from ditr_lite.floor import format_floor, load_autoencoder, measure_floor
+    from ditr_lite.store import read_card
+
+    report = measure_floor(frames, load_autoencoder(args.weights))
+    print(f"{source}, ground truth encoded and decoded")
+    print(format_floor(report))
+    if args.json:
+        checksum = read_card(args.weights)["parts"]["autoencoder"]["sha256"]
+        write_json(args.json, {"command": _line(args), "weights_sha256": checksum, "source": source, **report})
 
 
 def simulate(args: Namespace) -> None:
@@ -152,19 +168,6 @@ def train(args: Namespace) -> None:
         last = {k: v for k, v in (notes["curve"] or [{}])[-1].items() if k.startswith("val_")}
         figures = ", ".join(f"{k.removeprefix('val_')} {v:.4f}" for k, v in last.items())
         print(f"{Path(out) / part}.safetensors: {notes['steps']} steps, {notes['seconds']:.0f} s; {figures}")
-
-
-def write_json(path: Path | str, values: Any) -> None:
-    """Write ``values`` as JSON, whole or not at all.
-
-    Raises:
-        ValueError: for numbers that JSON does not know (NaN, infinity).
-    """
-    from ditr_lite.files import written_whole
-
-    text = json.dumps(values, indent=1, allow_nan=False, default=str) + "\n"
-    with written_whole(path) as part:
-        part.write_text(text)
 
 
 class _First:

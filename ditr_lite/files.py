@@ -4,11 +4,13 @@ Every writer goes through a temporary name and a rename, so a file is there whol
 ValueError that names the file, what was expected and what came.
 """
 
+import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -34,6 +36,17 @@ def written_whole(path: Path | str) -> Iterator[Path]:
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def write_json(path: Path | str, values: Any) -> None:
+    """Write ``values`` as JSON, whole or not at all.
+
+    Raises:
+        ValueError: for numbers that JSON does not know (NaN, infinity).
+    """
+    text = json.dumps(values, indent=1, allow_nan=False, default=str) + "\n"
+    with written_whole(path) as part:
+        part.write_text(text)
 
 
 def read_rgb(path: Path | str) -> np.ndarray:

@@ -1,5 +1,9 @@
+from dataclasses import replace
+
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from torch import nn
 
 from ditr_lite.autoencoder import ResidualBlock, VectorQuantizer, VQAutoencoder, autoencoder_loss
@@ -36,6 +40,32 @@ def test_nearest_agrees_with_pairwise_distances():
     assert torch.equal(vq.nearest(vectors), torch.cdist(vectors.double(), vq.codebook.double()).argmin(1))
 
 
+def naive(z, codebook, beta):
+    """Quantise pixel by pixel with plain Python numbers: codes (B, C, h, w), loss, indices (B, h, w)."""
+    b, c, h, w = z.shape
+    codes, index, total = torch.empty_like(z), torch.empty(b, h, w, dtype=torch.int64), 0.0
+    for i in range(b):
+        for y in range(h):
+            for x in range(w):
+                vector = z[i, :, y, x].tolist()
+                distance = [sum((p - q) ** 2 for p, q in zip(vector, code, strict=True)) for code in codebook.tolist()]
+                index[i, y, x] = best = distance.index(min(distance))
+                codes[i, :, y, x] = codebook[best]
+                total += distance[best]
+    return codes, beta * total / (b * c * h * w), index
+
+
+@given(st.integers(1, 9), st.integers(1, 5), st.floats(0, 2), st.integers(0, 2**31))
+def test_quantiser_agrees_with_a_naive_one(codes, channels, beta, seed):
+    generator = torch.Generator().manual_seed(seed)
+    vq = quantizer(torch.randn(codes, channels, generator=generator), beta=beta).double().eval()
+    z = torch.randn(2, channels, 3, 4, generator=generator, dtype=torch.float64)
+    z_q, loss, index = vq(z)
+    want_codes, want_loss, want_index = naive(z, vq.codebook, beta)
+    assert torch.equal(index, want_index)
+    assert torch.allclose(z_q, want_codes, atol=1e-12) and float(loss) == pytest.approx(want_loss, rel=1e-9)
+
+
 def test_quantising_by_hand():
     vq = quantizer([[0.0], [10.0]], beta=0.25).eval()
     z = torch.tensor([1.0, 7.0]).view(1, 1, 1, 2)
@@ -60,6 +90,30 @@ def test_the_gradient_passes_straight_through():
     upstream = torch.tensor([1.0, -2.0, 3.0, 5.0]).view(1, 2, 1, 2)
     (vq(z)[0] * upstream).sum().backward()
     assert torch.equal(z.grad, upstream)
+
+
+def test_straight_through_and_commitment_by_finite_differences():
+    """The gradient is that of loss(z + constant), the constant being code - z at the start, plus the commitment's."""
+    torch.manual_seed(0)
+    vq = quantizer(torch.randn(6, 3), beta=0.7).double().eval()
+    z, target = torch.randn(2, 1, 3, 2, 2, dtype=torch.float64)
+    z = z.clone().requires_grad_()
+    z_q, commitment, index = vq(z)
+    ((z_q - target).sin().square().sum() + commitment).backward()
+    codes = vq.codebook[index].permute(0, 3, 1, 2)
+    shift = (codes - z).detach()
+
+    def surrogate(z):  # the code does not move while z is nudged
+        return (z + shift - target).sin().square().sum() + 0.7 * ((z - codes) ** 2).mean()
+
+    with torch.no_grad():
+        for place in range(z.numel()):
+            nudge = torch.zeros(z.numel(), dtype=torch.float64)
+            nudge[place] = 1e-5
+            slope = (surrogate(z + nudge.view_as(z)) - surrogate(z - nudge.view_as(z))) / 2e-5
+            assert float(z.grad.flatten()[place]) == pytest.approx(float(slope), rel=1e-6, abs=1e-9)
+        staircase = float((vq(z + 1e-7)[0] - vq(z - 1e-7)[0]).abs().max())
+    assert staircase == pytest.approx(0, abs=1e-12)  # the true slope, which trains nothing
 
 
 def test_commitment_pulls_the_encoder_with_beta_and_leaves_the_codebook_alone():
@@ -136,6 +190,17 @@ def test_shapes_and_latents_before_quantisation():
     assert torch.allclose(model.decode(codes), model.decode(codes, quantize=False), atol=1e-5)
 
 
+@pytest.mark.parametrize(("multipliers", "factor"), [((1,), 2), ((1, 2), 4), ((1, 2, 4), 8), ((2, 1, 3, 1), 16)])
+def test_every_level_halves(multipliers, factor):
+    model = trained_like(replace(TINY, multipliers=multipliers))
+    x = torch.randn(1, 1, 32, 48)
+    out = model(x)
+    assert model.factor == factor
+    assert out["reconstruction"].shape == x.shape
+    assert out["latents"].shape == (1, TINY.latent_channels, 32 // factor, 48 // factor)
+    assert out["indices"].shape == (1, 32 // factor, 48 // factor)
+
+
 def test_crops_and_whole_images_agree_in_the_interior():
     model = trained_like(TINY)
     x = torch.randn(1, 1, 96, 96)
@@ -202,8 +267,9 @@ def test_the_lite_preset_keeps_its_budget():
     [
         lambda: VectorQuantizer(0, 2),
         lambda: VectorQuantizer(4, 2)(torch.zeros(1, 3, 2, 2)),
-        lambda: VQAutoencoder(AutoencoderConfig(multipliers=(1, 2, 4))),
+        lambda: VQAutoencoder(AutoencoderConfig(multipliers=())),
         lambda: VQAutoencoder(TINY).encode(torch.zeros(1, 1, 30, 32)),
+        lambda: VQAutoencoder(replace(TINY, multipliers=(1, 2, 4))).encode(torch.zeros(1, 1, 32, 36)),
         lambda: VQAutoencoder(TINY).decode(torch.zeros(1, 3, 8, 8)),
     ],
 )

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ditr_lite import commands, data, files, pipeline, recipes, store
+from ditr_lite import data, files, pipeline, recipes, store
 from ditr_lite.__main__ import DATASETS, main
 from ditr_lite.config import preset
 
@@ -328,7 +328,7 @@ def test_only_plain_lite_writes_into_the_shipped_weights(scenes, monkeypatch, ca
 
 def test_json_is_written_whole_or_not_at_all(tmp_path):
     with pytest.raises(ValueError):
-        commands.write_json(tmp_path / "x.json", {"value": float("nan")})
+        files.write_json(tmp_path / "x.json", {"value": float("nan")})
     assert list(tmp_path.iterdir()) == []
 
 
@@ -338,7 +338,7 @@ def test_datasets_offered_are_those_that_can_be_read():
     assert set(DATASETS) == set(datasets.REGISTRY)
 
 
-COMMANDS = ["complete", "evaluate", "simulate", "train", "bench", "train-boundary", "bench-boundary"]
+COMMANDS = ["complete", "evaluate", "simulate", "train", "bench", "train-boundary", "bench-boundary", "floor"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

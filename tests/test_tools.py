@@ -1,7 +1,6 @@
 """tools/: student copies lose exactly the solutions; the book has every page, linked, with alternative text."""
 
 import importlib.util
-import json
 from pathlib import Path
 
 import nbformat

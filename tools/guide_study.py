@@ -23,10 +23,10 @@ from tqdm.auto import tqdm
 from ditr_lite import diffusion
 from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.boundary import ExactBoundary, boundary_maps, get_backend
-from ditr_lite.commands import write_json
 from ditr_lite.conditioning import CHANNELS, fill
 from ditr_lite.config import Config, from_dict
 from ditr_lite.data import SAMPLES, read_sample
+from ditr_lite.files import write_json
 from ditr_lite.recipes import batches, branch_inputs
 from ditr_lite.scenedata import Batch, Scenes, draw, load_scenes
 from ditr_lite.schedule import make_schedule

@@ -19,8 +19,8 @@ from tqdm.auto import tqdm
 
 import ditr_lite as dl
 from ditr_lite import finetune, region_scores, summaries
-from ditr_lite.commands import write_json
 from ditr_lite.config import RefineConfig
+from ditr_lite.files import write_json
 from ditr_lite.scenedata import load_scenes
 from ditr_lite.store import WEIGHTS, read_card
 

@@ -12,8 +12,8 @@ import sys
 import time
 from pathlib import Path
 
-from ditr_lite.commands import write_json
 from ditr_lite.data import list_samples, load_sample
+from ditr_lite.files import write_json
 from ditr_lite.pipeline import Ditr
 from ditr_lite.robustness import run
 from ditr_lite.store import read_card
