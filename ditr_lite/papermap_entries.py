@@ -52,7 +52,7 @@ I2 | done | 07_metrics | Which δ did the tables use?
 metrics.delta | test_metrics.py::test_delta_is_strict_and_symmetric
 δ_{1+n%}, the share of pixels within n %
 
-I3 | planned | 03_vq_autoencoder | -
+I3 | done | 03_vq_autoencoder | 1 · From one convolution to Enc and Dec
 autoencoder.VQAutoencoder | test_autoencoder.py::test_shapes_and_latents_before_quantisation
 L = Enc(D_in), D_out = Dec(L)
 
@@ -76,7 +76,7 @@ S4 | planned | 02_region_refinement | -
 finetune.finetune_region | test_finetune.py::test_finetuning_moves_the_region_to_where_the_final_depth_gains
 fine-tuning: stage two frozen, the final RMSE added to the loss, 1e-3, 50 epochs
 
-S5 | planned | 03_vq_autoencoder | -
+S5 | done | 03_vq_autoencoder | 5 · Where the quantiser sits, and why diffusion cares
 autoencoder.VQAutoencoder | test_autoencoder.py::test_shapes_and_latents_before_quantisation
 autoencoder: no skip connections, scale 4 by two down- and two up-samplings, quantiser in the decoder
 
@@ -148,7 +148,7 @@ F5 | planned | 06_full_pipeline | -
 pipeline.Ditr | test_pipeline.py::test_stage_one_finds_the_region_and_refines_it
 overview: two stages, two branches
 
-F6 | planned | 03_vq_autoencoder | -
+F6 | done | 03_vq_autoencoder | 7 · Look at latents: the paper's figure, remade
 autoencoder.VQAutoencoder | test_autoencoder.py::test_crops_and_whole_images_agree_in_the_interior
 latent representation
 

@@ -3,7 +3,7 @@
 The shipped training code, for a few minutes on one core; rate, error at edges and inside, operations. The weights stay
 in outputs/, the figures are committed and shown in notebook 03.
 
-    python tools/compare_factors.py [--steps 250] [--limit 150] [--json ditr_lite/weights/results_factors.json]
+    python tools/compare_factors.py [--steps 800] [--limit 150] [--json ditr_lite/weights/results_factors.json]
 """
 
 import argparse
@@ -69,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Write the comparison and print it."""
     argv = list(sys.argv[1:] if argv is None else argv)
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--steps", type=int, default=250, help="of training, for each factor (%(default)s)")
+    parser.add_argument("--steps", type=int, default=800, help="of training, for each factor (%(default)s)")
     parser.add_argument("--batch", type=int, default=16, help="crops a step (%(default)s)")
     parser.add_argument("--limit", type=int, default=150, help="only the first training scenes (%(default)s)")
     parser.add_argument("--factors", type=int, nargs="+", choices=MULTIPLIERS, default=list(MULTIPLIERS))
