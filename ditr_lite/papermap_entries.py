@@ -60,19 +60,19 @@ I4 | planned | 05_boundary_maps | -
 boundary.depth_aware | test_boundary.py::test_the_printed_formula_is_an_intersection
 M_DA = M_RGB \\ ∁_U M_D, which is an intersection
 
-S1 | planned | 02_region_refinement | -
+S1 | done | 02_region_refinement | 3 · Decode, with a judge at every level
 region.RegionNet | test_region.py::test_outputs_have_the_promised_shapes
 stage one: encoder-decoder over colour and depth, feature fusion, boundary refinement
 
-S2 | planned | 02_region_refinement | -
+S2 | done | 02_region_refinement | 7 · Refine: a vote, then a reach
 region.refine_region | test_region.py::test_refinement_agrees_with_the_naive_one
 refinement: median 7 × 7, then dilation 5 × 5 in 3 iterations
 
-S3 | planned | 02_region_refinement | -
+S3 | done | 02_region_refinement | 6 · Train it as the paper says
 region_training.train_region | test_region_training.py::test_constants_are_the_papers
 training of stage one: SGD, batch 16, momentum 0.9, weight decay 1e-4, 200 epochs, a mixed learning rate
 
-S4 | planned | 02_region_refinement | -
+S4 | done | 02_region_refinement | 9 · Send the final error back through everything
 finetune.finetune_region | test_finetune.py::test_finetuning_moves_the_region_to_where_the_final_depth_gains
 fine-tuning: stage two frozen, the final RMSE added to the loss, 1e-3, 50 epochs
 

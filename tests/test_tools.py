@@ -1,6 +1,7 @@
 """tools/: student copies lose exactly the solutions; the book has every page, linked, with alternative text."""
 
 import importlib.util
+import json
 from pathlib import Path
 
 import nbformat
@@ -120,6 +121,16 @@ def test_region_study_has_a_control_and_both_ends():
     assert [name for name, (weight, _) in study.VARIANTS.items() if weight == 0] == ["segmentation loss alone"]
     kernels = {(r.median, r.dilate, r.iterations) for r in study.SETTINGS}
     assert {(0, 0, 0), (7, 5, 3)} <= kernels and 0 in study.OFFSETS and min(study.OFFSETS) < 0 < max(study.OFFSETS)
+
+
+def test_region_results_are_complete():
+    result = json.loads((ROOT / "ditr_lite" / "weights" / "results_region.json").read_text())
+    assert result["command"].startswith("python tools/region_study.py") and set(result["weights_sha256"]) >= {"region"}
+    assert set(result["errors"]) == {str(k) for k in study.OFFSETS} and "7/5/3" in result["refinement"]
+    for name in study.VARIANTS:
+        run = result["finetuning"][name]
+        assert len(run["after"]["optical_m"]) == len(result["names"])
+    assert "-1" in study.report(result)
 
 
 def test_the_paper_map_is_written_and_checked(tmp_path, monkeypatch, capsys):

@@ -26,6 +26,7 @@ from ditr_lite.recipes import RECIPES
 from ditr_lite.unet import STRIDE, DenoisingUNet, count_flops
 
 MULTIPLIERS = {2: (1,), 4: (1, 2), 8: (1, 2, 4)}
+RATES = {8: 5e-4}  # at the recipe's rate the deepest one, which has no normalisation, never leaves the mean depth
 
 
 def step_flops(config: Config, factor: int) -> int:
@@ -45,7 +46,8 @@ def measure(factor: int, args: argparse.Namespace) -> dict[str, Any]:
     """Train the autoencoder of one factor and return its row."""
     multipliers = ",".join(map(str, MULTIPLIERS[factor]))
     config = override(preset(args.preset), **{"autoencoder.multipliers": multipliers})
-    recipe = replace(RECIPES["autoencoder"], steps=args.steps, batch=args.batch)
+    recipe = RECIPES["autoencoder"]
+    recipe = replace(recipe, steps=args.steps, batch=args.batch, lr=RATES.get(factor, recipe.lr))
     out = args.work / f"f{factor}"
     notes = fitting.train("autoencoder", config, args.data, args.val, out, out, recipe, args.limit)
     model = load_autoencoder(out)
@@ -56,6 +58,7 @@ def measure(factor: int, args: argparse.Namespace) -> dict[str, Any]:
         "multipliers": list(MULTIPLIERS[factor]),
         "parameters": sum(p.numel() for p in model.parameters()),
         "seconds": notes["seconds"],
+        "lr": recipe.lr,
         "scenes": [notes["scenes"], notes["first_scene"], notes["last_scene"]],
         "encode_flop": count_flops(model.encode, depth),
         "decode_flop": count_flops(model.decode, model.encode(depth)),
