@@ -4,7 +4,7 @@ Answers and mistakes are written here as a learner would write them, not taken f
 """
 
 import numpy as np
-import pytest
+from checker_cases import checker_tests
 
 from ditr_lite import checks_autoencoder as checks
 
@@ -46,10 +46,6 @@ def perplexity(counts):
 def calibrate(z):
     flat = np.moveaxis(z, 1, 0).reshape(z.shape[1], -1)
     return flat.mean(1), 1 / np.sqrt(((flat - flat.mean(1)[:, None]) ** 2).sum(1) / (flat.shape[1] - 1))
-
-
-def todo(*_):
-    raise NotImplementedError
 
 
 RIGHT = {
@@ -151,26 +147,9 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize("checker", RIGHT, ids=lambda c: c.__name__)
-def test_the_right_answer_passes(checker, capsys):
-    assert checker(RIGHT[checker]), capsys.readouterr().out
-    assert capsys.readouterr().out.startswith("✓")
-
-
-@pytest.mark.parametrize(("checker", "attempt", "message"), MISTAKES)
-def test_a_planted_mistake_is_named(checker, attempt, message, capsys):
-    assert not checker(attempt)
-    out = capsys.readouterr().out
-    assert out.startswith("✗") and message in out, out
-
-
-@pytest.mark.parametrize("checker", RIGHT, ids=lambda c: c.__name__)
-def test_a_stub_is_not_a_failure_of_the_notebook(checker, capsys):
-    assert not checker(todo)
-    assert capsys.readouterr().out.endswith("not attempted yet\n")
-    assert not checker(lambda *_: None) and not checker("nonsense")
-
-
-def test_every_checker_is_tested():
-    names = {name for name in dir(checks) if name.startswith("check_")}
-    assert {c.__name__ for c in RIGHT} == names == {c.__name__ for c, _, _ in MISTAKES}
+(
+    test_the_right_answer_passes,
+    test_a_planted_mistake_is_named,
+    test_a_stub_is_not_a_failure_of_the_notebook,
+    test_every_checker_is_tested,
+) = checker_tests(checks, RIGHT, MISTAKES)

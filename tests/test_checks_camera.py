@@ -1,7 +1,7 @@
 """The right answer passes; every planted mistake fails with a message that names it."""
 
 import numpy as np
-import pytest
+from checker_cases import checker_tests
 
 from ditr_lite import checks_camera as checks
 
@@ -33,10 +33,6 @@ def glass(behind, thick, ior):
 def shares(raw, completed, region):
     kept = (completed == raw) & (raw > 0) & ~region
     return kept.mean(), region.mean(), ((raw == 0) & ~region).mean()
-
-
-def todo(*_):
-    raise NotImplementedError
 
 
 RIGHT = {
@@ -105,26 +101,9 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize("checker", RIGHT, ids=lambda c: c.__name__)
-def test_the_right_answer_passes(checker, capsys):
-    assert checker(RIGHT[checker]), capsys.readouterr().out
-    assert capsys.readouterr().out.startswith("✓")
-
-
-@pytest.mark.parametrize(("checker", "attempt", "message"), MISTAKES)
-def test_a_planted_mistake_is_named(checker, attempt, message, capsys):
-    assert not checker(attempt)
-    out = capsys.readouterr().out
-    assert out.startswith("✗") and message in out, out
-
-
-@pytest.mark.parametrize("checker", RIGHT, ids=lambda c: c.__name__)
-def test_a_stub_is_not_a_failure_of_the_notebook(checker, capsys):
-    assert not checker(todo)
-    assert capsys.readouterr().out.endswith("not attempted yet\n")
-    assert not checker(lambda *_: None) and not checker("nonsense")
-
-
-def test_every_checker_is_tested():
-    assert {c.__name__ for c in RIGHT} == {name for name in dir(checks) if name.startswith("check_")}
-    assert {c for c, _, _ in MISTAKES} == set(RIGHT)
+(
+    test_the_right_answer_passes,
+    test_a_planted_mistake_is_named,
+    test_a_stub_is_not_a_failure_of_the_notebook,
+    test_every_checker_is_tested,
+) = checker_tests(checks, RIGHT, MISTAKES)
