@@ -13,6 +13,8 @@ from .panels import WIDTH_IN, Picture
 # Set for the kernels of JupyterLab and Notebook, of VS Code, and of Colab.
 FRONT_ENDS = ("JPY_SESSION_NAME", "VSCODE_PID", "COLAB_RELEASE_TAG")
 
+LIVE_SCALE = 1.6  # one setting has the room of several
+
 
 def front_end() -> bool:
     """Say whether this kernel was started by a program that shows widgets."""
@@ -82,7 +84,9 @@ def _sliders(draw, values, start, panels, size):
         )
         for name, options in values.items()
     }
-    picture = ipywidgets.Image(format="png")
+    # as large as it is drawn: a box would stretch it to its own width
+    picture = ipywidgets.Image(format="png", layout={"align_self": "flex-start", "max_width": "100%"})
+    size = tuple(LIVE_SCALE * inches for inches in size)
 
     def redraw(_=None) -> None:
         setting = {name: slider.value for name, slider in sliders.items()}
