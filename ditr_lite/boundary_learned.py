@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from .boundary_classical import drop_small, is_depth
 from .conditioning import depth_bounds, to_tensor
 from .region import Encoder
-from .store import load_part
+from .store import fingerprint, load_part
 
 MODES = {"rgb": 3, "depth": 3}  # input channels
 WIDTH, LEVELS = 16, 4
@@ -132,6 +132,11 @@ class LearnedBoundary:
     def __init__(self, nets: nn.ModuleDict, thresholds: dict[str, float]):
         self.nets = nets.eval().requires_grad_(False).to(memory_format=torch.channels_last)
         self.thresholds = thresholds
+
+    @property
+    def fingerprint(self) -> str:
+        """Checksum of all that the maps depend on, for caches."""
+        return fingerprint(self.nets, *self.thresholds.values())
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Return the (H, W) bool boundary map of an image or of a depth map (see ``boundary.Backend``).

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from .boundary_classical import is_depth, spread_readings
 from .conditioning import depth_bounds
+from .store import fingerprint
 
 CHECKPOINT = Path("outputs/sam")  # where a checkpoint is looked for when no path is given
 MEAN, STD = (123.675, 116.28, 103.53), (58.395, 57.12, 57.375)  # of SAM's training images, 0 to 255
@@ -136,6 +137,11 @@ class SamBoundary:
             raise ValueError(f"expected at least one point and a batch of one, got {points} and {batch}")
         self.model, self.points, self.batch = model.eval().requires_grad_(False), points, batch
         self.min_score, self.min_stability, self.max_overlap = min_score, min_stability, max_overlap
+
+    @property
+    def fingerprint(self) -> str:
+        """Checksum of all that the maps depend on, for caches."""
+        return fingerprint(self.model, self.points, self.min_score, self.min_stability, self.max_overlap)
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Return the (H, W) bool boundary map of an image or of a depth map (see ``boundary.Backend``).

@@ -11,7 +11,7 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from ditr_lite.augment import colours, lose_readings
-from ditr_lite.boundary import boundary_maps, get_backend
+from ditr_lite.boundary import Backend, boundary_maps, get_backend
 from ditr_lite.conditioning import depth_bounds, to_tensor
 from ditr_lite.data import read_sample
 from ditr_lite.files import written_whole
@@ -75,7 +75,8 @@ def load_scenes(
 
 
 def _guides(paths: list[Path], boundary: str, store: Path) -> np.ndarray:
-    keys = {p: _content(p) for p in paths}
+    backend = get_backend(boundary)
+    keys = {p: _content(p, getattr(backend, "fingerprint", "")) for p in paths}
     known = {}
     if store.is_file():
         with np.load(store) as saved:
@@ -83,7 +84,7 @@ def _guides(paths: list[Path], boundary: str, store: Path) -> np.ndarray:
     missing = [p for p in paths if keys[p] not in known]
     if missing:
         with ThreadPoolExecutor(2) as pool:  # no processes: forked after torch has run they would wait for ever
-            jobs = pool.map(_guide, [(p, boundary) for p in missing])
+            jobs = pool.map(_guide, missing, [backend] * len(missing))
             for path, bits in zip(missing, tqdm(jobs, total=len(missing), desc="boundary maps"), strict=True):
                 known[keys[path]] = bits
         with written_whole(store) as part, open(part, "wb") as file:
@@ -92,16 +93,15 @@ def _guides(paths: list[Path], boundary: str, store: Path) -> np.ndarray:
     return np.stack([np.unpackbits(known[keys[p]]).reshape(2, *shape) for p in paths])
 
 
-def _content(path: Path) -> str:
-    """Return a key of what the maps are computed from, so that a scene rendered anew is not given its old maps."""
-    digest = hashlib.sha1((path / "rgb.jpg").read_bytes() + (path / "depth.png").read_bytes())
+def _content(path: Path, fingerprint: str) -> str:
+    """Return a key of what the maps are computed from, so that new pictures or new weights do not get old maps."""
+    digest = hashlib.sha1((path / "rgb.jpg").read_bytes() + (path / "depth.png").read_bytes() + fingerprint.encode())
     return f"{path.name}:{digest.hexdigest()}"
 
 
-def _guide(job: tuple[Path, str]) -> np.ndarray:
-    path, boundary = job
+def _guide(path: Path, backend: Backend) -> np.ndarray:
     sample = read_sample(path)
-    m_rgb, _, m_da = boundary_maps(sample.rgb, sample.depth, get_backend(boundary))
+    m_rgb, _, m_da = boundary_maps(sample.rgb, sample.depth, backend)
     return np.packbits(np.stack([m_rgb, m_da]))
 
 

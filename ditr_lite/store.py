@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 from safetensors.torch import load_file, save_file
-from torch import Tensor
+from torch import Tensor, nn
 
 from ditr_lite.config import Config, from_dict, preset, to_dict
 
@@ -19,6 +19,14 @@ CARD = "card.json"
 def sha256(path: Path | str) -> str:
     """Return the hexadecimal SHA-256 of a file."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def fingerprint(module: nn.Module, *settings: float) -> str:
+    """Return a checksum of a network's tensors and of the settings it is read with: what its output depends on."""
+    digest = hashlib.sha1(repr(settings).encode())
+    for name, tensor in sorted(module.state_dict().items()):
+        digest.update(name.encode() + tensor.cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()
 
 
 def read_card(folder: Path | str | None = None) -> dict[str, Any]:

@@ -46,6 +46,20 @@ def test_guides_are_the_boundary_maps_and_are_computed_once(scenes, cache, monke
     assert np.array_equal(load_scenes(VAL, 2, "classical", cache).guides, scenes.guides)
 
 
+def test_maps_of_other_weights_are_not_taken_from_the_cache(tmp_path, monkeypatch):
+    class Marked:
+        def __init__(self, fingerprint, answer):
+            self.fingerprint, self.answer = fingerprint, answer
+
+        def __call__(self, image):
+            return np.full(image.shape[:2], self.answer)
+
+    for fingerprint, answer in (("before", False), ("after", True), ("before", False)):
+        monkeypatch.setattr(scenedata, "get_backend", lambda name, made=Marked(fingerprint, answer): made)
+        guides = load_scenes(VAL, 1, "learned", tmp_path / "maps.npz").guides
+        assert guides.all() == answer and guides.any() == answer
+
+
 def test_a_folder_without_scenes_is_refused(tmp_path):
     (tmp_path / "train_00000.part").mkdir()
     (tmp_path / "train_00000.part" / "meta.json").touch()  # half written

@@ -3,6 +3,7 @@ import json
 
 import pytest
 import torch
+from torch import nn
 
 from ditr_lite import store
 from ditr_lite.config import override, preset
@@ -88,3 +89,12 @@ def test_a_write_that_stops_half_way_leaves_the_old_file(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         write_tensors({"other": torch.zeros(1)}, path)
     assert path.read_bytes() == before
+
+
+def test_a_fingerprint_changes_with_a_weight_and_with_a_setting():
+    net = nn.Linear(2, 3)
+    same = store.fingerprint(net, 0.5)
+    assert store.fingerprint(net, 0.5) == same != store.fingerprint(net, 0.4)
+    with torch.no_grad():
+        net.bias[1] += 1
+    assert store.fingerprint(net, 0.5) != same
