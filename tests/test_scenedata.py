@@ -55,7 +55,8 @@ def test_maps_of_other_weights_are_not_taken_from_the_cache(tmp_path, monkeypatc
             return np.full(image.shape[:2], self.answer)
 
     for fingerprint, answer in (("before", False), ("after", True), ("before", False)):
-        monkeypatch.setattr(scenedata, "get_backend", lambda name, made=Marked(fingerprint, answer): made)
+        made = Marked(fingerprint, answer)
+        monkeypatch.setattr(scenedata, "get_backend", lambda name, made=made: made)
         guides = load_scenes(VAL, 1, "learned", tmp_path / "maps.npz").guides
         assert guides.all() == answer and guides.any() == answer
 
