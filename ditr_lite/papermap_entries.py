@@ -56,7 +56,7 @@ I3 | done | 03_vq_autoencoder | 1 · From one convolution to Enc and Dec
 autoencoder.VQAutoencoder | test_autoencoder.py::test_shapes_and_latents_before_quantisation
 L = Enc(D_in), D_out = Dec(L)
 
-I4 | planned | 05_boundary_maps | -
+I4 | done | 05_boundary_maps | 2 · Read the formula: it is an intersection
 boundary.depth_aware | test_boundary.py::test_the_printed_formula_is_an_intersection
 M_DA = M_RGB \\ ∁_U M_D, which is an intersection
 
@@ -88,7 +88,7 @@ S7 | done | 04_ddpm_math | Level by level
 unet.DenoisingUNet | test_unet.py::test_paper_preset_can_be_counted_without_memory
 U-Net: four levels, 3 × 3 convolutions and ReLU, max-pooling, doubling channels, self- and cross-attention
 
-S8 | planned | 05_boundary_maps | -
+S8 | done | 05_boundary_maps | 5 · Three backends behind one call
 boundary.boundary_maps | test_pipeline.py::test_each_branch_has_its_own_boundary_map
 two extractors: M_DA guides the optical branch, M_RGB the geometric one
 
@@ -120,8 +120,8 @@ T6 | done | 04_ddpm_math | What the paper's sizes cost
 costs.beside_table_vi | test_costs.py::test_table_vi_cannot_hold
 latency and GFLOPs at 1280 × 720, per stage
 
-A1 | planned | 09_your_own_camera | -
-datasets.TROSD | test_datasets.py::test_every_reader
+A1 | done | 09_your_own_camera | 10 · Four cameras, one scene
+sensors.measure | test_sensors.py::test_shipped_frames_show_the_signatures
 generalisation without ground truth over four cameras
 
 A2 | planned | 08_ablations | -
@@ -132,8 +132,8 @@ F1 | done | 01_depth_loss_anatomy | Fig. 1 of the paper, from our frames
 loss_types.label | test_loss_types.py::test_label_names_each_kind_and_uses_both_thresholds
 depth distortion of transparent and reflective objects
 
-F2 | planned | 01_depth_loss_anatomy | -
-- | -
+F2 | done | 01_depth_loss_anatomy | 5 · Why not from one picture: the ambiguity (Fig. 2)
+camera.unproject | test_camera.py::test_a_scene_twice_as_large_and_as_far_gives_the_same_picture
 ambiguity of depth from one colour image
 
 F3 | done | 01_depth_loss_anatomy | 6 · Parallax: shadows that depth casts (Fig. 3)
@@ -144,7 +144,7 @@ F4 | done | 01_depth_loss_anatomy | 7 · The truth about every pixel (Fig. 4), a
 loss_types.label | test_loss_types.py::test_label_names_each_kind_and_uses_both_thresholds
 composition of depth loss
 
-F5 | planned | 06_full_pipeline | -
+F5 | done | 06_full_pipeline | Follow one frame through the full pipeline
 pipeline.Ditr | test_pipeline.py::test_stage_one_finds_the_region_and_refines_it
 overview: two stages, two branches
 
@@ -164,17 +164,17 @@ F9 | done | 06_full_pipeline | Look at it
 viz.grid | test_viz.py::test_compare_draws_every_prediction_and_its_error
 qualitative results beside other methods (ClearGrasp)
 
-F10 | planned | 09_your_own_camera | -
-- | -
-qualitative results (TODD)
+F10 | done | 09_your_own_camera | 9 · The public datasets, without a download
+datasets.TODD | test_exports.py::test_a_round_trip_keeps_all_that_the_format_holds
+qualitative results (TODD); without a download, our frames in its layout
 
-F11 | planned | 09_your_own_camera | -
-- | -
-qualitative results (STD)
+F11 | done | 09_your_own_camera | 9 · The public datasets, without a download
+datasets.STD | test_exports.py::test_a_round_trip_keeps_all_that_the_format_holds
+qualitative results (STD); likewise
 
-F12 | planned | 09_your_own_camera | -
-- | -
-generalisation on TROSD
+F12 | done | 09_your_own_camera | 10 · Four cameras, one scene
+datasets.TROSD | test_datasets.py::test_every_reader
+generalisation on TROSD; our scenes under four simulated cameras
 
 F13 | planned | 08_ablations | -
 - | -

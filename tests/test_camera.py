@@ -104,3 +104,10 @@ def test_absent_intrinsics(tmp_path):
     for name in ("a.yaml", "k.txt", "k.npy"):
         with pytest.raises(ValueError, match="no file"):
             cam.read_intrinsics(tmp_path / name, (12, 16))
+
+
+def test_a_scene_twice_as_large_and_as_far_gives_the_same_picture(depth):
+    once, twice = cam.unproject(depth, CAMERA), cam.unproject(2 * depth, CAMERA)
+    assert np.allclose(twice, 2 * once)  # every point moved along its own line of sight ...
+    pixels = [points[:, :2] / points[:, 2:] for points in (once, twice)]
+    assert np.allclose(*pixels)  # ... so no pixel of a colour image tells the two apart
