@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ditr_lite import diffusion
-from ditr_lite.augment import grow, mistake, reframe
+from ditr_lite.augment import grow, lose_patches, mistake, reframe
 from ditr_lite.autoencoder import VQAutoencoder, autoencoder_loss
 from ditr_lite.conditioning import condition, fill
 from ditr_lite.config import Config
@@ -28,7 +28,7 @@ StepLoss = Callable[[int], dict[str, Tensor]]
 
 RECIPES = {
     "autoencoder": Recipe(steps=3000, batch=16, lr=2e-3),
-    "region": Recipe(steps=2800, batch=8, lr=2e-3, weight_decay=1e-2),
+    "region": Recipe(steps=4000, batch=8, lr=2e-3, weight_decay=1e-2),
     "optical": Recipe(steps=1700, batch=8, lr=1e-3),
     "geometric": Recipe(steps=800, batch=8, lr=1e-3),
     "detail": Recipe(steps=2400, batch=8, lr=2e-3),
@@ -47,7 +47,8 @@ def region_step(model: nn.Module, scenes: Scenes, recipe: Recipe, seed: int = 0)
     def step_loss(step: int) -> dict[str, Tensor]:
         rng = rng_of(seed, step)
         batch = draw(scenes, rng.integers(0, len(scenes), recipe.batch), rng)
-        rgb, maps = batch.rgb, [batch.depth_n, batch.valid, batch.material[:, None].float(), batch.gt_known]
+        readings = lose_patches(batch.depth_n, batch.valid, rng)
+        rgb, maps = batch.rgb, [*readings, batch.material[:, None].float(), batch.gt_known]
         if step < REFRAME_ALL or rng.random() < REFRAME_SHARE:  # variety first, then frames as they will be met
             rgb, maps = reframe(rgb, maps, rng)
         depth_n, valid, material, known = maps

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite.augment import colours, grow, lose_readings, mistake, reframe
+from ditr_lite.augment import colours, grow, lose_patches, lose_readings, mistake, reframe
 
 
 def region():
@@ -67,3 +67,21 @@ def test_mistakes_miss_a_part_and_claim_another():
     missed = ((1 - drawn) * true[:1])[:, :, 12:28, 22:38].flatten(1).any(1).float().mean()
     claimed = (drawn * (1 - far)).flatten(1).any(1).float().mean()
     assert 0.02 < missed < 0.5 and 0.1 < claimed < 0.5
+
+
+def test_patches_lose_the_share_that_was_drawn_and_nothing_else_changes():
+    depth_n, valid = torch.rand(6, 1, 48, 64) + 0.1, torch.ones(6, 1, 48, 64)
+    valid[:, :, :8], depth_n[:, :, :8] = 0, 0
+    few, left = lose_patches(depth_n, valid, np.random.default_rng(0), chance=1.0, most=0.5)
+    lost = ((valid > 0) & (left == 0)).float().mean(dim=(1, 2, 3))
+    assert 0.05 < lost.max() <= 0.5 and lost.min() < lost.max()
+    assert torch.equal(few, depth_n * left) and set(left.unique().tolist()) == {0.0, 1.0}
+    same = lose_patches(depth_n, valid, np.random.default_rng(0), chance=0.0)
+    assert torch.equal(same[0], depth_n) and torch.equal(same[1], valid)
+
+
+def test_lost_patches_are_patches_and_not_single_pixels():
+    valid = torch.ones(4, 1, 96, 128)
+    _, left = lose_patches(valid, valid, np.random.default_rng(1), chance=1.0)
+    neighbours_differ = (left[..., 1:] != left[..., :-1]).float().mean()
+    assert neighbours_differ < 0.05
