@@ -67,8 +67,16 @@ class DetailNet(nn.Module):
         Raises:
             ValueError: for another number of channels or a size that is not a multiple of 8.
         """
+        return self.spread(x, x[:, :1])
+
+    def spread(self, x: Tensor, decoded: Tensor) -> Tensor:
+        """Return the finer depth (S, 1, H, W) of ``decoded`` (S, 1, H, W), by what the network says of ``x``.
+
+        ``x`` is as in :meth:`forward`, B being S, or 1 for samples of one image, which then share residual, trust and
+        affinities: the network, the costly part, runs once.
+        """
         residual, trust, affinities = self.predict(x)
-        return propagate(x[:, :1] + residual, x[:, 1:2], x[:, 2:3] * trust, affinities)
+        return propagate(decoded + residual, x[:, 1:2], x[:, 2:3] * trust, affinities)
 
     def predict(self, x: Tensor) -> tuple[Tensor, Tensor, list[Tensor]]:
         """Return the residual (B, 1, H, W), the trust in readings (B, 1, H, W) in (0, 1) and, per dilation, affinities.

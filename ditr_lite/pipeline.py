@@ -232,11 +232,12 @@ class Ditr:
     ) -> list[Tensor]:
         """Apply the finer final step to the branches composed as they will be, each being returned where it is used.
 
-        Elsewhere a branch keeps what it had painted.
+        Elsewhere a branch keeps what it had painted. Affinities are predicted once, from the mean of the samples.
         """
         inside = region.to(self.device) > 0
         together = torch.where(inside, *decoded)
-        finer = self.parts["detail"](detail_input(together, *self._put(depth_n, valid, region, image, boundary)))
+        given = self._put(depth_n, valid, region, image, boundary)
+        finer = self.parts["detail"].spread(detail_input(together.mean(0, keepdim=True), *given), together)
         return [torch.where(inside, finer, decoded[0]), torch.where(inside, decoded[1], finer)]
 
     def _put(self, *tensors: Tensor) -> list[Tensor]:

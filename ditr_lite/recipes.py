@@ -28,7 +28,7 @@ StepLoss = Callable[[int], dict[str, Tensor]]
 
 RECIPES = {
     "autoencoder": Recipe(steps=3000, batch=16, lr=2e-3),
-    "region": Recipe(steps=4000, batch=8, lr=2e-3, weight_decay=1e-2),
+    "region": Recipe(steps=5000, batch=8, lr=2e-3, weight_decay=1e-2),
     "optical": Recipe(steps=1700, batch=8, lr=1e-3),
     "geometric": Recipe(steps=800, batch=8, lr=1e-3),
     "detail": Recipe(steps=2400, batch=8, lr=2e-3),

@@ -117,3 +117,13 @@ def test_bad_inputs_are_refused():
             net(bad)
     with pytest.raises(ValueError, match="leave it out"):
         DetailNet(DetailConfig(0))
+
+
+def test_samples_of_one_image_share_what_the_network_says_of_it():
+    net = DetailNet(DetailConfig(width=8)).eval()
+    torch.nn.init.normal_(net.out.weight, std=0.1)
+    x, decoded = torch.rand(1, len(CHANNELS), 16, 24), torch.rand(3, 1, 16, 24)
+    together = net.spread(x, decoded)
+    each = torch.cat([net.spread(x, d[None]) for d in decoded])
+    assert together.shape == decoded.shape and torch.allclose(together, each, atol=1e-6)
+    assert torch.allclose(net.spread(x, x[:, :1]), net(x))
