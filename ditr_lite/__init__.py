@@ -45,6 +45,7 @@ MODULES = (
     "completion",
     "pipeline",
     "baselines",
+    "own_method",
     "region_scores",
     "loss_estimate",
     "protocols",
@@ -52,6 +53,7 @@ MODULES = (
     "robustness",
     "floor",
     "latency",
+    "memory",
     "augment",
     "costs",
     "scenedata",
@@ -59,6 +61,7 @@ MODULES = (
     "boundary_scoring",
     "boundary_training",
     "recipes",
+    "yardstick",
     "paper_recipes",
     "fitting",
     "region_training",
@@ -91,6 +94,7 @@ MODULES = (
     "checks_autoencoder",
     "commands",
     "boundary_commands",
+    "bench_commands",
 )
 
 # The names that need no module in front of them.

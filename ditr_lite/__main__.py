@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from ditr_lite import boundary_commands, commands
+from ditr_lite import bench_commands, boundary_commands, commands
 
 DATASETS = ("cleargrasp", "cleargrasp_synthetic", "todd", "std", "dreds", "trosd", "transcg", "folder")
 PROTOCOLS = ("cleargrasp", "lidf", "transparenet", "dfnet", "swindrnet", "d3roma", "marigold")
@@ -52,7 +52,7 @@ def parser() -> Parser:
         "evaluate": (_evaluate, "score DITR and every baseline on frames with ground truth"),
         "simulate": (_simulate, "render scenes; without --split, the shipped ones (existing scenes are kept)"),
         "train": (_train, "train one part or all; a stopped run goes on where it was"),
-        "bench": (_bench, "the tables of evaluate plus time and operations of each stage"),
+        "bench": (_bench, "the tables of evaluate, your own method too, and what each stage costs in time and memory"),
         "train-boundary": (_train_boundary, "train the learned boundary backend; a stopped run goes on where it was"),
         "bench-boundary": (_bench_boundary, "score every boundary backend against the exact outlines of the scenes"),
         "floor": (_floor, "measure what the autoencoder loses of the ground truth, and how many codes it uses"),
@@ -61,8 +61,8 @@ def parser() -> Parser:
     for name, (add, text) in adders.items():
         sub = which.add_parser(name, help=text, description=text)
         add(sub)
-        module = boundary_commands if name.endswith("-boundary") else commands
-        sub.set_defaults(run=getattr(module, name.replace("-", "_")))
+        homes = {"train-boundary": boundary_commands, "bench-boundary": boundary_commands, "bench": bench_commands}
+        sub.set_defaults(run=getattr(homes.get(name, commands), name.replace("-", "_")))
     return top
 
 
@@ -95,6 +95,13 @@ def _evaluate(p: Parser) -> None:
 def _bench(p: Parser) -> None:
     p.add_argument("--root", type=Path, help="a folder of other rendered scenes")
     p.add_argument("--split", default="test", help="test (default), val or train")
+    p.add_argument(
+        "--method",
+        action="append",
+        default=[],
+        metavar="MODULE:FUNCTION",
+        help="also score your own f(rgb, depth, region) -> depth in metres; the module is looked for here first",
+    )
     p.add_argument("--runs", type=int, default=7, help="runs of a stage whose median is taken, 5 or more (%(default)s)")
     _scoring(p)
 

@@ -66,27 +66,6 @@ def evaluate(args: Namespace) -> None:
         write_json(args.json, evaluation.to_json(results, _line(args), args.weights, protocol, **notes))
 
 
-def bench(args: Namespace) -> None:
-    """Print the evaluation tables of a split and what each stage costs in time and operations."""
-    _check_target(args.json, ".json")
-    source, frames = _frames(args)
-    from ditr_lite import evaluation, latency
-    from ditr_lite.files import write_json
-
-    ditr, first = _load(args), frames[0]
-    rows = latency.measure(ditr, first, args.runs, args.steps, args.samples)
-    results = evaluation.run_methods(frames, ditr, None, args.given_region, args.steps, args.samples)
-    height, width = first.depth.shape
-    print(f"{source}, region {'given' if args.given_region else 'found by stage one'}")
-    print(evaluation.format_report(evaluation.summary(results)))
-    print(f"\nmedian of {args.runs} runs, a frame of {width} x {height}, working size {ditr.config.size[::-1]}")
-    print(latency.format_latency(rows))
-    if args.json:
-        notes = {"source": source, "given_region": args.given_region, "steps": args.steps, "samples": args.samples}
-        notes |= {"latency": {"runs": args.runs, "frame": [height, width], "stages": rows}}
-        write_json(args.json, evaluation.to_json(results, _line(args), args.weights, **notes))
-
-
 def floor(args: Namespace) -> None:
     """Print what is lost when the ground truth of a split is encoded and decoded, and how many codes are in use."""
     _check_target(args.json, ".json")

@@ -6,8 +6,10 @@ two branches plus two ViT-L passes; so here every stage is counted by running it
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from tqdm.auto import tqdm
@@ -19,6 +21,7 @@ from ditr_lite.pipeline import BRANCHES, Ditr
 from ditr_lite.unet import count_flops
 
 MIN_RUNS = 5
+LARGE = (720, 1280)  # of Table VI
 
 
 @torch.no_grad()
@@ -43,23 +46,36 @@ def measure(
     """
     if runs < MIN_RUNS:
         raise ValueError(f"a median of latencies needs at least {MIN_RUNS} runs, got {runs}")
+    return [
+        {"stage": name, "ms": median_ms(stage, runs), "gflops": count_flops(stage) / 1e9 or None}
+        for name, stage in tqdm(stages(ditr, sample, steps, samples).items(), desc="latency", unit="stage")
+    ]
+
+
+def median_ms(fn: Callable[[], object], runs: int) -> float:
+    """Return the median time of ``runs`` calls in milliseconds, after one that is thrown away: it warms the caches."""
+    fn()
+    seconds = []
+    for _ in range(runs):
+        start = time.perf_counter()
+        fn()
+        seconds.append(time.perf_counter() - start)
+    return 1000 * float(np.median(seconds))
+
+
+def enlarged(sample: Sample, size: tuple[int, int] = LARGE) -> Sample:
+    """Return the frame stretched to (height, width), colour smoothly and depth by nearest neighbour: to be timed."""
+    wide = size[::-1]
+    rgb = cv2.resize(sample.rgb, wide, interpolation=cv2.INTER_CUBIC)
+    return replace(sample, rgb=rgb, depth=cv2.resize(sample.depth, wide, interpolation=cv2.INTER_NEAREST))
+
+
+def stages(
+    ditr: Ditr, sample: Sample, steps: int | None = None, samples: int | None = None
+) -> dict[str, Callable[[], Any]]:
+    """Return every stage as a call without arguments, fed with what the stages before it made."""
     steps = ditr.config.sampler.steps if steps is None else steps
     samples = ditr.config.sampler.samples if samples is None else samples
-    rows = []
-    stages = _stages(ditr, sample, steps, samples)
-    for name, stage in tqdm(stages.items(), desc="latency", unit="stage"):
-        stage()  # the first run allocates and warms caches
-        seconds = []
-        for _ in range(runs):
-            start = time.perf_counter()
-            stage()
-            seconds.append(time.perf_counter() - start)
-        rows.append({"stage": name, "ms": 1000 * float(np.median(seconds)), "gflops": count_flops(stage) / 1e9 or None})
-    return rows
-
-
-def _stages(ditr: Ditr, sample: Sample, steps: int, samples: int) -> dict[str, Callable[[], Any]]:
-    """Return every stage as a call without arguments, fed with what the stages before it made."""
     frame = fit(sample.depth.shape, ditr.config.size)
     rgb, depth, bounds = frame.into(sample.rgb), frame.into(sample.depth), depth_bounds(sample.depth)
 
@@ -95,10 +111,12 @@ def _stages(ditr: Ditr, sample: Sample, steps: int, samples: int) -> dict[str, C
 
 
 def format_latency(rows: list[dict[str, Any]]) -> str:
-    """Return :func:`measure`'s rows as a text table."""
+    """Return :func:`measure`'s rows as a text table, with peak memory where the rows hold it."""
     width = max(len(row["stage"]) for row in rows)
-    lines = ["stage".ljust(width) + "ms".rjust(10) + "GFLOPs".rjust(10)]
+    heads = ["ms", "GFLOPs"] + ["peak MB"] * ("peak_mb" in rows[0])
+    lines = ["stage".ljust(width) + "".join(head.rjust(10) for head in heads)]
     for row in rows:
-        operations = "-" if row["gflops"] is None else f"{row['gflops']:.2f}"
-        lines.append(row["stage"].ljust(width) + f"{row['ms']:10.1f}" + operations.rjust(10))
+        cells = [f"{row['ms']:.1f}", "-" if row["gflops"] is None else f"{row['gflops']:.2f}"]
+        cells += [f"{row['peak_mb']:.0f}"] if "peak_mb" in row else []
+        lines.append(row["stage"].ljust(width) + "".join(cell.rjust(10) for cell in cells))
     return "\n".join(lines)

@@ -3,13 +3,14 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from ditr_lite import data, files, pipeline, recipes, store
+from ditr_lite import data, files, memory, pipeline, recipes, store, yardstick
 from ditr_lite.__main__ import DATASETS, main
 from ditr_lite.config import preset
 
@@ -223,13 +224,26 @@ def test_evaluate_prints_tables_and_writes_json(scenes, weights, tmp_path, capsy
     assert list(values["rmse_m"]) == ["test_00000", "test_00001"] and values["summary"]["kept"]
 
 
-def test_bench_adds_latency(scenes, weights, tmp_path, capsys):
+def test_bench_adds_a_readers_method_and_what_everything_costs(scenes, weights, tmp_path, capsys, monkeypatch):
+    speed = {"part": "optical", "batch": 8, "steps_per_s": 1.0, "frames_per_s": 8.0}
+    monkeypatch.setattr(yardstick, "throughput", lambda ditr: speed)
+    monkeypatch.setattr(yardstick, "compare_unets", lambda ditr, runs: dict.fromkeys(["ours"], UNET))
+    monkeypatch.setattr(memory, "stage_peaks", lambda *_: defaultdict(lambda: 1.0))
+    (tmp_path / "mine.py").write_text("def half_a_metre(rgb, depth, region):\n    return 0 * depth + 0.5\n")
+    monkeypatch.chdir(tmp_path)
     argv = ["bench", "--root", str(scenes), "--limit", "1", "--steps", "1", "--samples", "1", "--runs", "5"]
-    argv += ["--weights", str(weights), "--given-region", "--json", str(tmp_path / "b.json")]
+    argv += ["--method", "mine:half_a_metre", "--weights", str(weights), "--given-region", "--json", "b.json"]
     assert main(argv) == 0
-    assert "stage two: geometric branch" in capsys.readouterr().out
-    stages = json.loads((tmp_path / "b.json").read_text())["latency"]["stages"]
-    assert stages[-1]["stage"] == "whole" and stages[-1]["gflops"] > 0
+    printed = capsys.readouterr().out
+    assert "stage two: geometric branch" in printed and "half_a_metre" in printed and "1280 x 720" in printed
+    written = json.loads((tmp_path / "b.json").read_text())
+    assert [frame["stages"][-1]["stage"] for frame in written["cost"]["frames"]] == ["whole", "whole"]
+    assert written["cost"]["frames"][1]["size"] == [720, 1280]
+    assert written["cost"]["frames"][0]["stages"][0]["gflops"] > 0 and written["cost"]["training"] == speed
+    assert "half_a_metre" in written["summary"]["differences"]
+
+
+UNET = {"parameters": 1000, "gflops": 1.0, "ms": 2.0, "ms_per_gflop": 2.0}
 
 
 @pytest.mark.parametrize(
