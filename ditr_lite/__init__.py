@@ -54,6 +54,7 @@ MODULES = (
     "evaluation",
     "robustness",
     "floor",
+    "study",
     "latency",
     "memory",
     "augment",

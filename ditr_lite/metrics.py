@@ -9,7 +9,16 @@ import numpy as np
 
 from ditr_lite.audit import audit_table
 from ditr_lite.loss_types import check_depth, check_mask
-from ditr_lite.summaries import METRICS, SETS, Scores, average, bootstrap_mean, format_table, paired_bootstrap
+from ditr_lite.summaries import (
+    METRICS,
+    SETS,
+    Scores,
+    average,
+    bootstrap_mean,
+    format_table,
+    paired_bootstrap,
+    ratio_bootstrap,
+)
 
 __all__ = [
     "METRICS",
@@ -28,6 +37,7 @@ __all__ = [
     "miss_rate",
     "paired_bootstrap",
     "pixel_sets",
+    "ratio_bootstrap",
     "rel",
     "rmse",
 ]

@@ -69,6 +69,25 @@ def paired_bootstrap(
     return bootstrap_mean([None if x is None or y is None else x - y for x, y in zip(a, b, strict=True)], n, seed)
 
 
+def ratio_bootstrap(
+    a: Sequence[float | None], b: Sequence[float | None], n: int = 2000, seed: int = 0
+) -> tuple[float, float, float]:
+    """Return (mean of a / mean of b, low, high), 95 %, resampling images and keeping each image's two scores together.
+
+    Raises:
+        ValueError: for lists of different length, without a common image, or a mean of 0 in ``b``.
+    """
+    if len(a) != len(b):
+        raise ValueError(f"a and b should score the same images, got {len(a)} and {len(b)} values")
+    pairs = np.array([(x, y) for x, y in zip(a, b, strict=True) if x is not None and y is not None], np.float64)
+    if not pairs.size or not pairs[:, 1].mean() > 0:
+        raise ValueError(f"expected common images with positive scores in b, got {len(pairs)} common images")
+    picks = np.random.default_rng(seed).integers(0, len(pairs), size=(n, len(pairs)))
+    over, under = pairs[picks].mean(axis=1).T  # (n, images, 2) -> (n, 2)
+    low, high = np.percentile(over / under, [2.5, 97.5])
+    return float(pairs[:, 0].mean() / pairs[:, 1].mean()), float(low), float(high)
+
+
 def format_table(rows: Mapping[str, Mapping[str, Scores | None]], sets: Sequence[str] = SETS) -> str:
     """Return a plain-text table, one block per pixel set and one line per method; RMSE and MAE in millimetres.
 

@@ -24,7 +24,7 @@ def test_metrics_offers_them_too():
     names = [
         n for n, v in vars(summaries).items() if getattr(v, "__module__", "") == summaries.__name__ and n[0] != "_"
     ]
-    assert sorted(names) == ["average", "bootstrap_mean", "format_table", "paired_bootstrap"]
+    assert sorted(names) == ["average", "bootstrap_mean", "format_table", "paired_bootstrap", "ratio_bootstrap"]
     assert all(getattr(M, name) is getattr(summaries, name) for name in [*names, "SETS", "METRICS", "Scores"])
 
 
@@ -88,3 +88,14 @@ def test_table_shows_millimetres_and_dashes():
     assert lines[2].split()[:3] == ["ours", "331.7", "331.7"]
     assert lines[8].split() == ["flat"] + ["-"] * 6
     assert len({len(line) for line in lines if line.startswith(("ours", "flat", "method"))}) == 1
+
+
+def test_a_ratio_of_means_keeps_pairs_together():
+    hard = np.linspace(0.5, 2, 30)
+    assert np.allclose(summaries.ratio_bootstrap(list(0.75 * hard), list(hard)), 0.75)
+    mean, low, high = summaries.ratio_bootstrap([1.0, 2.0, 3.0, None], [2.0, 2.0, 2.0, 5.0])
+    assert mean == 1.0 and low < 1 < high
+    with pytest.raises(ValueError, match="common images"):
+        summaries.ratio_bootstrap([None], [1.0])
+    with pytest.raises(ValueError, match="same images"):
+        summaries.ratio_bootstrap([1.0], [1.0, 2.0])

@@ -1,0 +1,185 @@
+"""DITR beside its learned peers at equal training time, its ablation, and what each part of its error is due to.
+
+Paper: Tables I to III (compared systems) and IV (ablation: BB, +DP, +RR). ``tools/peer_study.py`` runs everything on
+one split at once: same frames, same region from stage one, same pixels.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm.auto import tqdm
+
+from ditr_lite import metrics
+from ditr_lite.baselines import REGISTRY, compose
+from ditr_lite.completion import Completion
+from ditr_lite.config import from_dict
+from ditr_lite.data import Sample
+from ditr_lite.floor import reconstruct
+from ditr_lite.peers import load_peers
+from ditr_lite.pipeline import Ditr, build
+from ditr_lite.store import WEIGHTS, load_part, load_parts, read_card
+from ditr_lite.summaries import bootstrap_mean, paired_bootstrap, ratio_bootstrap
+
+RESULTS = WEIGHTS / "results_peers.json"
+SETS = ("optical", "geometric", "whole")
+SHIPPED, EQUAL = "ditr", "ditr, equal time"
+ORACLES = {  # what is put in the place of one part of the shipped system
+    "true region": "stage one never errs",
+    "no detail network": "the branches as decoded",
+    "truth through the autoencoder": "denoisers never err",
+    "one sample": "no averaging",
+    "sixteen samples": "four times the averaging",
+}
+Method = Callable[[Sample, Completion], np.ndarray]  # frame and shipped completion -> depth
+
+
+def arm_system(folder: Path | str, arm: str, seed: int) -> Ditr:
+    """Return a system of the shipped stage one and autoencoder with the branches of an arm ("dp", "ditr").
+
+    Raises:
+        ValueError: when the arm has not been trained.
+    """
+    config = from_dict(read_card(folder)["config"])
+    if arm == "dp":
+        config = replace(config, detail=replace(config.detail, width=0))
+    parts, (_, shipped) = build(config), load_parts()
+    for name, module in parts.items():
+        own = name not in ("region", "autoencoder")
+        module.load_state_dict(load_part(f"{arm}_{name}-{seed}", folder) if own else shipped[name])
+    return Ditr(parts, config)
+
+
+def methods(ditr: Ditr, folder: Path | str, seeds: Sequence[int] = (0, 1)) -> dict[str, Method]:
+    """Return every method of the study: the shipped system with its oracles, baselines, peers, ablation, equal time.
+
+    Args:
+        ditr: the shipped system.
+        folder: weights of peers and arms.
+        seeds: of BB and +DP.
+
+    Raises:
+        ValueError: when something has not been trained.
+    """
+    plain = Ditr(build(bare := replace(ditr.config, detail=replace(ditr.config.detail, width=0))), bare)
+    for name in plain.parts:
+        plain.parts[name] = ditr.parts[name]
+    rows: dict[str, Method] = {
+        SHIPPED: lambda s, out: out.depth,
+        "true region": lambda s, out: ditr(s.rgb, s.depth, s.region).depth,
+        "no detail network": lambda s, out: plain(s.rgb, s.depth, out.region).depth,
+        "truth through the autoencoder": lambda s, out: compose(
+            reconstruct(ditr.parts["autoencoder"], s)[0], s.depth, out.region
+        ),
+        "one sample": lambda s, out: ditr(s.rgb, s.depth, out.region, samples=1).depth,
+        "sixteen samples": lambda s, out: ditr(s.rgb, s.depth, out.region, samples=16).depth,
+    }
+    for name, method in REGISTRY.items():
+        rows[name] = _composed(method)
+    for name, peer in load_peers(folder).items():
+        rows[f"{name}, bare"] = lambda s, out, peer=peer: peer(s.rgb, s.depth)
+        rows[name] = _composed(peer)
+    equal = arm_system(folder, "ditr", 0)
+    rows[EQUAL] = lambda s, out: equal(s.rgb, s.depth, out.region).depth
+    for seed in seeds:
+        single, two = load_peers(folder, seed)["single_latent_diffusion"], arm_system(folder, "dp", seed)
+        rows[f"BB, seed {seed}"] = lambda s, out, single=single: single(s.rgb, s.depth)
+        rows[f"+DP, seed {seed}"] = lambda s, out, two=two: two(s.rgb, s.depth, out.probability > 0.5).depth
+        rows[f"+RR, seed {seed}"] = lambda s, out, two=two: two(s.rgb, s.depth, out.region).depth
+    return rows
+
+
+def _composed(method) -> Method:
+    return lambda s, out: compose(method(s.rgb, s.depth, out.region), s.depth, out.region)
+
+
+def run(frames, ditr: Ditr, rows: Mapping[str, Method]) -> dict[str, dict[str, dict[str, float | None]]]:
+    """Return frame -> method -> pixel set -> RMSE in metres; stage one runs once a frame and serves all."""
+    scores = {}
+    for sample in tqdm(frames, desc="frames", unit="frame"):
+        out = ditr(sample.rgb, sample.depth)
+        scores[sample.name] = {}
+        for name, method in rows.items():
+            found = metrics.evaluate(method(sample, out), sample.depth_gt, sample.region, sample.depth)
+            scores[sample.name][name] = {k: found[k] and round(found[k]["rmse"], 6) for k in SETS}
+    return scores
+
+
+def summarise(scores: Mapping[str, Mapping[str, Mapping[str, float | None]]]) -> dict[str, Any]:
+    """Return means, ratios and differences with 95 % intervals over frames, from :func:`run`'s result.
+
+    Returns:
+        ``mean``: method -> set -> [mean, low, high] in metres; ``ratio``: method -> set -> mean of DITR at equal time
+        over that of the method; ``minus_ditr``: method -> set -> [difference to the shipped system]; ``ablation``:
+        seed -> step -> set -> [relative change of the mean].
+    """
+    names = list(next(iter(scores.values())))
+    column = {n: {k: [frame[n][k] for frame in scores.values()] for k in SETS} for n in names}
+    out: dict[str, Any] = {"mean": {n: {k: bootstrap_mean(column[n][k]) for k in SETS} for n in names}}
+    if EQUAL in names:
+        out["ratio"] = {n: {k: ratio_bootstrap(column[EQUAL][k], column[n][k]) for k in SETS} for n in names}
+    out["minus_ditr"] = {n: {k: paired_bootstrap(column[n][k], column[SHIPPED][k]) for k in SETS} for n in names}
+    seeds = [n.removeprefix("BB, seed ") for n in names if n.startswith("BB, seed ")]
+    out["ablation"] = {
+        seed: {
+            after: {
+                k: ratio_bootstrap(column[f"{after}, seed {seed}"][k], column[f"{before}, seed {seed}"][k])
+                for k in SETS
+            }
+            for before, after in (("BB", "+DP"), ("+DP", "+RR"))
+        }
+        for seed in seeds
+    }
+    return out
+
+
+def load_study(path: Path | str = RESULTS) -> dict[str, Any]:
+    """Read what ``tools/peer_study.py`` wrote."""
+    return json.loads(Path(path).read_text(encoding="utf-8"))
+
+
+def format_peers(report: Mapping[str, Any]) -> str:
+    """Return the table of peers: RMSE in mm bare and composed, and DITR at equal time over the composed peer."""
+    mean, ratio = report["mean"], report["ratio"]
+    lines = ["RMSE mm, mean over frames".ljust(32) + "".join(k.rjust(11) for k in SETS) + "   optical, DITR : it"]
+    chosen = [SHIPPED, EQUAL, *[n for n in mean if f"{n}, bare" in mean or n.endswith(", bare")]]
+    chosen += [n for n in REGISTRY if n in mean]
+    for name in chosen:
+        lines.append(name.ljust(32) + _cells(mean[name]) + f"   {_interval(ratio[name]['optical'], 1, '.2f')}")
+    return "\n".join(lines)
+
+
+def format_ablation(report: Mapping[str, Any]) -> str:
+    """Return the ablation: RMSE in mm of each step and seed, and the relative change that the step made."""
+    lines = [
+        "RMSE mm".ljust(16) + "".join(k.rjust(11) for k in SETS) + "   optical, change of the mean (paper: -33 %, -5 %)"
+    ]
+    for seed, steps in report["ablation"].items():
+        for step in ("BB", "+DP", "+RR"):
+            change = steps.get(step)
+            text = "" if change is None else _interval([100 * (v - 1) for v in change["optical"]], 1, "+.0f") + " %"
+            lines.append(
+                f"{step}, seed {seed}".ljust(16) + _cells(report["mean"][f"{step}, seed {seed}"]) + "   " + text
+            )
+    return "\n".join(lines)
+
+
+def format_oracles(report: Mapping[str, Any]) -> str:
+    """Return what the shipped system would score with one part replaced, and the difference that makes."""
+    lines = ["RMSE mm".ljust(32) + "".join(k.rjust(11) for k in SETS) + "   optical, minus shipped"]
+    for name in (SHIPPED, *ORACLES):
+        change = _interval(report["minus_ditr"][name]["optical"], 1000, "+.1f")
+        lines.append(name.ljust(32) + _cells(report["mean"][name]) + f"   {change}  {ORACLES.get(name, '')}")
+    return "\n".join(lines)
+
+
+def _cells(row: Mapping[str, Sequence[float]]) -> str:
+    return "".join(f"{1000 * row[k][0]:11.1f}" for k in SETS)
+
+
+def _interval(values: Sequence[float], factor: float, style: str) -> str:
+    mean, low, high = (format(factor * v, style) for v in values)
+    return f"{mean} [{low}, {high}]"

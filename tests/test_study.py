@@ -1,0 +1,73 @@
+import json
+
+import numpy as np
+import pytest
+
+from ditr_lite import study
+
+RNG = np.random.default_rng(0)
+LEVELS = {  # method -> RMSE in metres about which its frames lie
+    study.SHIPPED: 0.030,
+    study.EQUAL: 0.040,
+    "true region": 0.020,
+    "no detail network": 0.035,
+    "truth through the autoencoder": 0.010,
+    "one sample": 0.031,
+    "sixteen samples": 0.0299,
+    "harmonic": 0.07,
+    "regression, bare": 0.05,
+    "regression": 0.045,
+    "BB, seed 0": 0.060,
+    "+DP, seed 0": 0.045,
+    "+RR, seed 0": 0.044,
+    "BB, seed 1": 0.062,
+    "+DP, seed 1": 0.046,
+    "+RR, seed 1": 0.044,
+}
+
+
+@pytest.fixture(scope="module")
+def scores():
+    frames = {}
+    for i in range(20):
+        hard = RNG.uniform(0.5, 1.5)
+        frames[f"f{i}"] = {
+            n: {k: None if k == "optical" and i == 3 else hard * v for k in study.SETS} for n, v in LEVELS.items()
+        }
+    return frames
+
+
+@pytest.fixture(scope="module")
+def report(scores):
+    return study.summarise(scores)
+
+
+def test_ratios_and_changes_are_those_of_the_means(report):
+    assert report["ratio"]["regression"]["optical"][0] == pytest.approx(40 / 45)
+    assert report["ablation"]["0"]["+DP"]["optical"] == pytest.approx((0.75, 0.75, 0.75))  # paired: no spread is left
+    assert report["ablation"]["1"]["+RR"]["whole"][0] == pytest.approx(44 / 46)
+    mean, low, high = report["minus_ditr"]["true region"]["optical"]
+    assert low < mean < high < 0
+
+
+def test_tables_name_every_row_and_survive_json(report):
+    again = json.loads(json.dumps(report))
+    peers, ablation, oracles = (f(again) for f in (study.format_peers, study.format_ablation, study.format_oracles))
+    assert "regression, bare" in peers and study.EQUAL in peers and "harmonic" in peers and "0.89 [0.89, 0.89]" in peers
+    assert ablation.count("seed 1") == 3 and "-25 [-25, -25] %" in ablation
+    assert all(name in oracles for name in study.ORACLES)
+
+
+def test_a_study_needs_trained_arms(tmp_path):
+    with pytest.raises(ValueError, match="no weights in"):
+        study.arm_system(tmp_path, "dp", 0)
+
+
+def test_every_method_is_asked_about_every_frame():
+    from ditr_lite.data import load_sample
+    from ditr_lite.pipeline import Ditr
+
+    ditr, sample = Ditr.from_pretrained(), load_sample("val_00000")
+    rows = {"ditr": lambda s, out: out.depth, "truth": lambda s, out: np.where(s.depth_gt > 0, s.depth_gt, 1)}
+    (found,) = study.run([sample], ditr, rows).values()
+    assert set(found) == {"ditr", "truth"} and found["truth"]["optical"] == 0 < found["ditr"]["optical"]

@@ -1,0 +1,45 @@
+"""Score DITR, its learned peers, its ablation and its oracles on one split, in one run.
+
+python tools/peer_study.py [--split test] [--limit N] [--peers outputs/peers] [--json FILE]
+
+The peers and arms must have been trained: `for arm in regression single_latent_diffusion ... dp ditr; do
+python tools/train_peer.py $arm --minutes M; done`, BB (single_latent_diffusion) and dp also with `--seed 1`.
+"""
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+
+import ditr_lite as dl
+from ditr_lite import study
+from ditr_lite.files import write_json
+from ditr_lite.store import read_card
+
+
+def main() -> None:
+    """Parse the arguments, score, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--split", default="test")
+    parser.add_argument("--limit", type=int)
+    parser.add_argument("--peers", type=Path, default=Path("outputs/peers"))
+    parser.add_argument("--json", type=Path, default=study.RESULTS)
+    args = parser.parse_args()
+    ditr = dl.Ditr.from_pretrained()
+    rows = study.methods(ditr, args.peers)
+    scores = study.run((dl.load_sample(n) for n in dl.list_samples(args.split)[: args.limit]), ditr, rows)
+    report = study.summarise(scores)
+    card = read_card(args.peers)["parts"]
+    report["trained"] = {
+        name: {k: part[k] for k in ("arm", "minutes", "seed", "steps", "scenes", "sha256")}
+        for name, part in card.items()
+    }
+    report["weights_sha256"] = {name: part["sha256"] for name, part in read_card()["parts"].items()}
+    for table in (study.format_peers, study.format_ablation, study.format_oracles):
+        print(table(report), end="\n\n")
+    command = shlex.join(["python", *sys.argv])
+    write_json(args.json, {"command": command, "split": args.split, "frames": len(scores), **report, "rmse_m": scores})
+
+
+if __name__ == "__main__":
+    main()
