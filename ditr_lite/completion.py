@@ -1,5 +1,6 @@
 """The edges of the system: what a frame must be to be completed, how the branches are composed, what is returned."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,8 @@ class Completion:
     Attributes:
         depth: (H, W) float32 metres, dense.
         region: (H, W) bool, after refinement (the caller's, if one was given).
-        std: (H, W) float32 metres, spread over the samples; 0 with one sample and where depth was kept.
+        std: (H, W) float32 metres, the error to expect (one standard deviation), see :func:`expected_error`; 0 where
+            depth was kept.
         boundary_rgb, boundary_depth, boundary_da: (H, W) bool, M_RGB, M_D and M_DA.
         probability: (H, W) float32, stage one's belief before threshold and refinement; None for a given region.
         optical, geometric: (H, W) float32 metres, each branch's own repainting before composition.
@@ -44,6 +46,30 @@ def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, regio
         region: (H, W) bool.
     """
     return np.where(region, optical, np.where(depth > 0, depth, geometric)).astype(np.float32)
+
+
+def expected_error(
+    drawn: np.ndarray, kept: np.ndarray, region: np.ndarray, base: Sequence[float], factor: Sequence[float]
+) -> np.ndarray:
+    """Return the error to expect of the mean of samples: their spread, scaled, and what no spread shows.
+
+    Samples of one denoiser agree where it has learnt to be wrong: their spread alone understates the error. Per branch
+    sqrt((base * depth)^2 + (factor * spread)^2), with constants that ``tools/calibrate.py`` fits on validation scenes.
+
+    Args:
+        drawn: (S, H, W) metres, composed samples; of a single one the spread is 0.
+        kept: (H, W) bool, pixels that were not painted: 0.
+        region: (H, W) bool, painted by the optical branch.
+        base: of the optical and the geometric branch, shares of the depth; 0 leaves the spread alone.
+        factor: likewise, of the spread.
+
+    Returns:
+        (H, W) float32 metres.
+    """
+    # float64, in which the mean of equal readings is that reading: where depth was kept the spread is exactly 0
+    spread = drawn.std(0, ddof=int(len(drawn) > 1), dtype=np.float64)
+    share, times = (np.where(region, *pair) for pair in (base, factor))
+    return np.where(kept, 0, np.hypot(share * drawn.mean(0), times * spread)).astype(np.float32)
 
 
 def check_inputs(

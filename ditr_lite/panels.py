@@ -28,7 +28,7 @@ OKABE_ITO = ("#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "
 GREY = "#9E9E9E"  # no value
 WIDTH_IN, DPI, FONT = 12.0, 80, 8
 ERROR_MM = 50.0  # upper end of |error| where no row fixes it
-BARS = {"depth": "depth (m)", "error": "|error| (mm)", "signed": "error (mm), + is too far", "spread": "spread (mm)"}
+BARS = {"depth": "depth (m)", "error": "|error| (mm)", "signed": "error (mm), + is too far", "spread": "std (mm)"}
 
 
 class Picture(Figure):
@@ -101,7 +101,7 @@ signed_error = partial(error, signed=True)
 
 
 def spread(ax: Axes, std_m: np.ndarray, limit_mm: float | None = None, title: str = "", bar: bool = True) -> AxesImage:
-    """Draw the spread over samples, given in metres, in millimetres."""
+    """Draw the spread over samples or the error to expect, given in metres, in millimetres."""
     std_mm = check_depth(std_m) * 1000.0
     limit = limit_mm or max(float(np.percentile(std_mm, 98)), 1.0)
     return _map(ax, "spread", std_mm, np.ones(std_mm.shape, bool), (0, limit), title, "", bar)

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.boundary import boundary_maps, get_backend
-from ditr_lite.completion import Completion, check_inputs, compose
+from ditr_lite.completion import Completion, check_inputs, compose, expected_error
 from ditr_lite.conditioning import CHANNELS, Bounds, condition, depth_bounds, fit, to_tensor
 from ditr_lite.config import Config
 from ditr_lite.detail import DetailNet, detail_input
@@ -103,7 +103,7 @@ class Ditr:
             depth: (H, W) float metres, aligned to ``rgb``, 0 = missing.
             region: (H, W) bool, transparent or reflective; None lets stage one find it.
             steps: denoising steps, 1 to the schedule's length; None for the configuration's.
-            samples: draws whose mean is returned and whose spread is ``std``; None for the configuration's.
+            samples: draws whose mean is returned; ``std`` rests on their spread; None for the configuration's.
             adjust: also repaint valid pixels outside the region; by default they are returned bit for bit.
             seed: of the noise.
 
@@ -129,12 +129,11 @@ class Ditr:
         kept = np.zeros_like(depth) if adjust else depth
         drawn = np.stack([compose(kept, o, g, region) for o, g in zip(*parts, strict=True)])
         mean = compose(kept, parts[0].mean(0), parts[1].mean(0), region)
-        # float64, in which the mean of equal readings is that reading: where depth was kept the spread is exactly 0
-        std = drawn.std(0, ddof=int(samples > 1), dtype=np.float64)
+        std = expected_error(drawn, (kept > 0) & ~region, region, self.config.std.base, self.config.std.factor)
         return Completion(
             depth=mean,
             region=region,
-            std=std.astype(np.float32),
+            std=std,
             boundary_rgb=frame.back(maps[0]),
             boundary_depth=frame.back(maps[1]),
             boundary_da=frame.back(maps[2]),

@@ -185,7 +185,7 @@ def save_panel(
     """
     panels = [Panel("rgb", image, "input"), Panel("depth", depth_raw, "raw"), Panel("depth", depth_out, "completed")]
     if std is not None:
-        panels.append(Panel("spread", std, "spread over samples"))
+        panels.append(Panel("spread", std, "expected error"))
     figure = row(panels, region=region, limits=depth_limits(depth_out))
     with written_whole(path) as part:
         part.write_bytes(figure.png())

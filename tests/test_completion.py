@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ditr_lite import baselines
-from ditr_lite.completion import check_inputs, compose
+from ditr_lite.completion import check_inputs, compose, expected_error
 
 SHAPE = (5, 7)
 METRES = st.floats(0.0625, 8, width=32)
@@ -63,3 +63,14 @@ def test_depth_is_cleaned_and_the_callers_array_left_alone():
     rgb, clean = check_inputs(np.zeros((2, 3, 3), np.uint8), depth, None, 1)
     assert clean.dtype == np.float32 and np.allclose(clean, [[1.5, 0, 0], [0, 0, 0.3]])
     assert np.isnan(depth[0, 1])
+
+
+def test_expected_error_adds_a_share_of_the_depth_to_the_scaled_spread():
+    drawn = np.array([[[0.50, 0.50, 0.8]], [[0.54, 0.54, 0.8]]], np.float32)  # spread 0.0283 m, twice
+    region, kept = np.array([[True, False, False]]), np.array([[False, False, True]])
+    plain = expected_error(drawn, kept, region, (0, 0), (1, 1))
+    assert np.allclose(plain, [[0.02 * 2**0.5, 0.02 * 2**0.5, 0]]) and plain.dtype == np.float32
+    fitted = expected_error(drawn, kept, region, (0.1, 0), (0, 3))
+    assert np.allclose(fitted, [[0.052, 0.06 * 2**0.5, 0]])
+    single = expected_error(drawn[:1], kept, region, (0.1, 0.1), (2, 2))
+    assert np.allclose(single, [[0.05, 0.05, 0]])  # of one sample there is no spread
