@@ -13,6 +13,8 @@ Every pixel is a distance, so a blurred depth edge is a wrong depth edge. Three 
 * the last convolution writes the four pixels of a 2x2 block separately, so two neighbours can differ sharply.
 """
 
+import math
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -72,8 +74,15 @@ class VectorQuantizer(nn.Module):
             (N,) int64 in [0, K).
         """
         b2 = self.codebook.square().sum(dim=1)  # (K,)
-        # 256 vectors at a time, so that the (256, K) distances stay in the cache: five times faster on a CPU
-        parts = [torch.addmm(b2, part, self.codebook.T, alpha=-2).min(dim=1).indices for part in vectors.split(256)]
+        block = math.gcd(len(b2), 64)
+        parts = []
+        for part in vectors.split(512):  # so that the (512, K) distances stay in the cache: five times faster on a CPU
+            distances = torch.addmm(b2, part, self.codebook.T, alpha=-2).unflatten(
+                1, (-1, block)
+            )  # (N, K/block, block)
+            # first which block, then where in it: a minimum alone costs a fraction of one with its index
+            best = distances.amin(dim=2).argmin(dim=1)  # (N,)
+            parts.append(best * block + distances[torch.arange(len(part), device=best.device), best].argmin(dim=1))
         return torch.cat(parts)  # (N,)
 
     def forward(self, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:

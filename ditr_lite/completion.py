@@ -1,10 +1,10 @@
 """The edges of the system: what a frame must be to be completed, how the branches are composed, what is returned."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ditr_lite.config import StdConfig
 from ditr_lite.data import clean_depth
 
 
@@ -49,7 +49,7 @@ def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, regio
 
 
 def expected_error(
-    drawn: np.ndarray, kept: np.ndarray, region: np.ndarray, base: Sequence[float], factor: Sequence[float]
+    spread: np.ndarray, depth: np.ndarray, kept: np.ndarray, region: np.ndarray, config: StdConfig
 ) -> np.ndarray:
     """Return the error to expect of the mean of samples: their spread, scaled, and what no spread shows.
 
@@ -57,19 +57,17 @@ def expected_error(
     sqrt((base * depth)^2 + (factor * spread)^2), with constants that ``tools/calibrate.py`` fits on validation scenes.
 
     Args:
-        drawn: (S, H, W) metres, composed samples; of a single one the spread is 0.
+        spread: (H, W) metres, standard deviation over samples; 0 of a single one.
+        depth: (H, W) metres, their mean.
         kept: (H, W) bool, pixels that were not painted: 0.
         region: (H, W) bool, painted by the optical branch.
-        base: of the optical and the geometric branch, shares of the depth; 0 leaves the spread alone.
-        factor: likewise, of the spread.
+        config: the constants.
 
     Returns:
         (H, W) float32 metres.
     """
-    # float64, in which the mean of equal readings is that reading: where depth was kept the spread is exactly 0
-    spread = drawn.std(0, ddof=int(len(drawn) > 1), dtype=np.float64)
-    share, times = (np.where(region, *pair) for pair in (base, factor))
-    return np.where(kept, 0, np.hypot(share * drawn.mean(0), times * spread)).astype(np.float32)
+    share, times = (np.where(region, *pair) for pair in (config.base, config.factor))
+    return np.where(kept, 0, np.hypot(share * depth, times * spread)).astype(np.float32)
 
 
 def check_inputs(

@@ -77,9 +77,12 @@ class Frame:
         if image.dtype == bool:
             return cv2.resize(image.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
         nearest = cv2.resize(image, size, interpolation=cv2.INTER_NEAREST)
+        if size == (self.width, self.height):
+            return nearest
         smooth = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
         edge = np.abs(smooth - nearest) > 0.01 * np.abs(nearest)  # averaging over a jump would make flying pixels
-        return np.where(edge, nearest, smooth)
+        np.copyto(smooth, nearest, where=edge)
+        return smooth
 
 
 def fit(source: tuple[int, int], size: tuple[int, int]) -> Frame:

@@ -125,21 +125,22 @@ class Ditr:
             small_region = frame.into(region)
         maps = boundary_maps(small_rgb, small, self.backend)
         optical, geometric = self.inpaint(small_rgb, small, small_region, maps, bounds, steps, samples, seed)
-        parts = [np.stack([frame.back(d) for d in branch]) for branch in (optical, geometric)]  # (S, H, W) each
+        parts = [[frame.back(d) for d in branch] for branch in (optical, geometric)]  # samples of (H, W) each
+        means = [np.mean(branch, axis=0) for branch in parts]
         kept = np.zeros_like(depth) if adjust else depth
-        drawn = np.stack([compose(kept, o, g, region) for o, g in zip(*parts, strict=True)])
-        mean = compose(kept, parts[0].mean(0), parts[1].mean(0), region)
-        std = expected_error(drawn, (kept > 0) & ~region, region, self.config.std.base, self.config.std.factor)
+        drawn = (compose(kept, o, g, region) for o, g in zip(*parts, strict=True))
+        mean = compose(kept, *means, region)
+        variance = sum(np.square(d - mean) for d in drawn) / max(samples - 1, 1)  # where depth was kept exactly 0
         return Completion(
             depth=mean,
             region=region,
-            std=std,
+            std=expected_error(np.sqrt(variance), mean, (kept > 0) & ~region, region, self.config.std),
             boundary_rgb=frame.back(maps[0]),
             boundary_depth=frame.back(maps[1]),
             boundary_da=frame.back(maps[2]),
             probability=None if probability is None else frame.back(probability),
-            optical=parts[0].mean(0),
-            geometric=parts[1].mean(0),
+            optical=means[0],
+            geometric=means[1],
         )
 
     def region_probability(self, rgb: np.ndarray, depth: np.ndarray, bounds: Bounds) -> np.ndarray:

@@ -6,6 +6,7 @@ from hypothesis.extra.numpy import arrays
 
 from ditr_lite import baselines
 from ditr_lite.completion import check_inputs, compose, expected_error
+from ditr_lite.config import StdConfig
 
 SHAPE = (5, 7)
 METRES = st.floats(0.0625, 8, width=32)
@@ -66,11 +67,11 @@ def test_depth_is_cleaned_and_the_callers_array_left_alone():
 
 
 def test_expected_error_adds_a_share_of_the_depth_to_the_scaled_spread():
-    drawn = np.array([[[0.50, 0.50, 0.8]], [[0.54, 0.54, 0.8]]], np.float32)  # spread 0.0283 m, twice
+    spread, depth = np.array([[0.03, 0.03, 0.0]]), np.array([[0.5, 0.5, 0.8]], np.float32)
     region, kept = np.array([[True, False, False]]), np.array([[False, False, True]])
-    plain = expected_error(drawn, kept, region, (0, 0), (1, 1))
-    assert np.allclose(plain, [[0.02 * 2**0.5, 0.02 * 2**0.5, 0]]) and plain.dtype == np.float32
-    fitted = expected_error(drawn, kept, region, (0.1, 0), (0, 3))
-    assert np.allclose(fitted, [[0.052, 0.06 * 2**0.5, 0]])
-    single = expected_error(drawn[:1], kept, region, (0.1, 0.1), (2, 2))
-    assert np.allclose(single, [[0.05, 0.05, 0]])  # of one sample there is no spread
+    plain = expected_error(spread, depth, kept, region, StdConfig())
+    assert np.allclose(plain, [[0.03, 0.03, 0]]) and plain.dtype == np.float32
+    fitted = expected_error(spread, depth, kept, region, StdConfig(base=(0.08, 0), factor=(1, 3)))
+    assert np.allclose(fitted, [[0.05, 0.09, 0]])
+    single = expected_error(0 * spread, depth, kept, region, StdConfig(base=(0.08, 0.1), factor=(2, 2)))
+    assert np.allclose(single, [[0.04, 0.05, 0]])  # of one sample there is no spread

@@ -73,6 +73,12 @@ def test_way_back_is_smooth_on_surfaces_and_sharp_at_jumps():
     assert set(np.unique(frame.back(step))) == {0.5, 1}  # no flying pixel between the two
 
 
+def test_at_the_working_size_a_map_comes_back_as_a_copy_of_itself():
+    depth = np.random.default_rng(0).random((64, 96)).astype(np.float32)
+    back = fit((64, 96), (64, 96)).back(depth)
+    assert np.array_equal(back, depth) and not np.shares_memory(back, depth)
+
+
 # --- push-pull fill ---------------------------------------------------------------------------------------------------
 
 

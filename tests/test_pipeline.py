@@ -129,6 +129,15 @@ def test_spread_of_two_samples_is_their_distance_over_root_two(ditr, monkeypatch
     assert np.allclose(out.std[region], 0.2 / np.sqrt(2)) and (out.std[~region & (depth > 0)] == 0).all()
 
 
+def test_spread_is_the_standard_deviation_of_what_was_drawn(ditr, monkeypatch):
+    rgb, depth, region = frame(64, 96)
+    drawn = np.random.default_rng(0).uniform(0.5, 1, (2, 5, 64, 96)).astype(np.float32)
+    monkeypatch.setattr(ditr, "inpaint", lambda *a: tuple(drawn))
+    std = ditr(rgb, depth, region, samples=5).std
+    expected = np.where(region, *drawn.std(1, ddof=1, dtype=np.float64))
+    assert std.dtype == np.float32 and np.allclose(std, np.where(region | (depth == 0), expected, 0), rtol=1e-5)
+
+
 @pytest.mark.parametrize(("steps", "samples"), [(1, 1), (3, 2)])
 def test_steps_and_samples_cost_what_they_say(ditr, steps, samples):
     rgb, depth, region = frame(64, 96)
