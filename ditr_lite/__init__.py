@@ -70,6 +70,7 @@ MODULES = (
     "yardstick",
     "paper_recipes",
     "fitting",
+    "experiment",
     "region_training",
     "finetune",
     "textures",

@@ -134,8 +134,17 @@ def _simulate(p: Parser) -> None:
 def _train(p: Parser) -> None:
     p.add_argument("--part", default="all", help="all (default), autoencoder, region, optical, geometric or detail")
     p.add_argument("--preset", default="lite", help="sizes: tiny, lite (default) or paper")
-    p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting: unet.width=48")
-    p.add_argument("--data", type=Path, default=Path("outputs/scenes/train"), help="scenes to train on (%(default)s)")
+    p.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change a setting: unet.width=48; with --preset tiny and all parts, compare with tiny as it is: a quick "
+        "experiment of minutes on the shipped scenes",
+    )
+    p.add_argument(
+        "--data", type=Path, help="scenes to train on (outputs/scenes/train); in a comparison, besides the shipped ones"
+    )
     p.add_argument("--val", type=Path, default=Path("data_samples/val"), help="scenes to validate on (%(default)s)")
     p.add_argument("--out", type=Path, help="weights folder (default: the shipped one for plain lite, else in outputs)")
     p.add_argument("--work", type=Path, help="folder for checkpoints and logs (default outputs/training)")

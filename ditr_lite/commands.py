@@ -132,13 +132,17 @@ def train(args: Namespace) -> None:
 
     if args.part not in ("all", *fitting.PARTS):
         raise ValueError(f"unknown part {args.part!r}; choose all or one of {', '.join(fitting.PARTS)}")
-    config = override(preset(args.preset), **dict(_setting(text) for text in args.set))
+    settings = dict(_setting(text) for text in args.set)
+    config = override(preset(args.preset), **settings)
+    changes = {k: getattr(args, k) for k in ("steps", "batch", "lr") if getattr(args, k) is not None}
+    if args.preset == "tiny" and settings and args.part == "all":
+        return experiment(args, settings, changes)
+    args.data = args.data or Path("outputs/scenes/train")
     _check_scenes(args)
     # Only the plain lite preset goes where the shipped weights and their checkpoints are.
     tag = args.preset + ("-changed" if args.set else "")
     out = args.out or (WEIGHTS if tag == "lite" else Path("outputs/weights") / tag)
     work = args.work or (Path("outputs/training") if tag == "lite" else Path("outputs/training") / tag)
-    changes = {k: getattr(args, k) for k in ("steps", "batch", "lr") if getattr(args, k) is not None}
     for part in fitting.PARTS if args.part == "all" else [args.part]:
         recipe = replace(RECIPES[part], **changes)
         notes = fitting.train(
@@ -147,6 +151,18 @@ def train(args: Namespace) -> None:
         last = {k: v for k, v in (notes["curve"] or [{}])[-1].items() if k.startswith("val_")}
         figures = ", ".join(f"{k.removeprefix('val_')} {v:.4f}" for k, v in last.items())
         print(f"{Path(out) / part}.safetensors: {notes['steps']} steps, {notes['seconds']:.0f} s; {figures}")
+
+
+def experiment(args: Namespace, settings: dict[str, str], changes: dict[str, float]) -> None:
+    """Train the tiny preset as it is and with settings changed, score both on the same frames, and compare them."""
+    from dataclasses import replace
+
+    from ditr_lite.experiment import QUICK, compare, format_comparison
+
+    recipes = {part: replace(recipe, **changes) for part, recipe in QUICK.items()}
+    where = {"data": args.data, "val": args.val, "out": args.out, "work": args.work}
+    result = compare(settings, **where, recipes=recipes, limit=args.limit, seed=args.seed, boundary=args.boundary)
+    print(format_comparison(result))
 
 
 class _First:

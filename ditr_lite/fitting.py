@@ -1,6 +1,7 @@
 """Train one part from start to shipped file: load scenes, run its recipe, validate, save weights and card."""
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,6 @@ def train(
         raise ValueError(f"unknown part {part!r}; choose one of {', '.join(PARTS)}")
     _check_same_networks(config, Path(out))
     recipe = recipe or recipes.RECIPES[part]
-    torch.manual_seed(seed)
     guided = part not in ("autoencoder", "region")
     cache = Path(work)
     cache.mkdir(parents=True, exist_ok=True)
@@ -67,6 +67,34 @@ def train(
         load_scenes(folder, n, boundary if guided else None, cache / f"{Path(folder).name}-{boundary}.npz")
         for folder, n in ((data, limit), (val, None))
     )
+    return train_on(part, config, scenes, held_out, out, work, recipe, seed)
+
+
+def train_on(
+    part: str,
+    config: Config,
+    scenes: Scenes,
+    held_out: Scenes | None,
+    out: Path | str,
+    work: Path | str,
+    recipe: Recipe,
+    seed: int = 0,
+    **remarks: Any,
+) -> dict[str, Any]:
+    """Do what :func:`train` does with scenes that are in memory already.
+
+    Args:
+        part: one of :data:`PARTS`.
+        config: sizes.
+        scenes: to train on, with guides unless the part is the autoencoder or the region network.
+        held_out: likewise, to validate on; None leaves the validation out.
+        out: weights folder.
+        work: folder for checkpoints.
+        recipe: steps, batch, rate.
+        seed: of everything random.
+        remarks: what else to enter into the card.
+    """
+    torch.manual_seed(seed)
     parts = build(config)
     for name in {"optical": ["autoencoder"], "geometric": ["autoencoder"], "detail": list(PARTS[:4])}.get(part, []):
         parts[name].load_state_dict(load_part(name, out))
@@ -78,7 +106,7 @@ def train(
         model.eval()
         model.calibrate(recipes.encode_targets(model, scenes)[:, 0].float())
     notes |= {"command": " ".join(["python -m ditr_lite", *sys.argv[1:]]), "recipe": vars(recipe), "seed": seed}
-    notes |= {"scenes": len(scenes), "first_scene": scenes.names[0], "last_scene": scenes.names[-1]}
+    notes |= {"scenes": len(scenes), "first_scene": scenes.names[0], "last_scene": scenes.names[-1], **remarks}
     save_part(part, model.state_dict(), config, out, notes)
     return notes
 
@@ -92,20 +120,27 @@ def _check_same_networks(config: Config, out: Path) -> None:
         raise ValueError(f"{out} holds weights of another {', '.join(other)} setting: choose another folder for these")
 
 
-def _assemble(part: str, parts: nn.ModuleDict, scenes: Scenes, val: Scenes, config: Config, recipe: Recipe, seed: int):
-    """Return the step loss and the validation of one part."""
-    model = parts[part]
+def _assemble(
+    part: str, parts: nn.ModuleDict, scenes: Scenes, val: Scenes | None, config: Config, recipe: Recipe, seed: int
+):
+    """Return the step loss and the validation of one part, None without scenes to validate on."""
+    model, validate = parts[part], None
     if part == "region":
-        return recipes.region_step(model, scenes, recipe, seed), lambda: validate_region(model, val)
-    if part == "autoencoder":
-        return recipes.autoencoder_step(model, scenes, recipe, seed), lambda: validate_autoencoder(model, val)
-    if part == "detail":
-        painted = recipes.paint_all(parts, scenes, config, seed)
-        painted_val = recipes.paint_all(parts, val, config, seed, variants=1)
-        step = recipes.detail_step(model, painted, recipe, len(scenes), seed)
-        return step, lambda: validate_detail(model, painted_val, len(val))
-    step = recipes.branch_step(part, model, parts["autoencoder"], scenes, config, recipe, seed)
-    return step, lambda: validate_branch(part, parts, val, config)
+        step = recipes.region_step(model, scenes, recipe, seed)
+        validate = partial(validate_region, model, val)
+    elif part == "autoencoder":
+        step = recipes.autoencoder_step(model, scenes, recipe, seed)
+        validate = partial(validate_autoencoder, model, val)
+    elif part == "detail":
+        step = recipes.detail_step(model, recipes.paint_all(parts, scenes, config, seed), recipe, len(scenes), seed)
+        if val is not None:
+            validate = partial(
+                validate_detail, model, recipes.paint_all(parts, val, config, seed, variants=1), len(val)
+            )
+    else:
+        step = recipes.branch_step(part, model, parts["autoencoder"], scenes, config, recipe, seed)
+        validate = partial(validate_branch, part, parts, val, config)
+    return step, None if val is None else validate
 
 
 def validate_region(model: nn.Module, val: Scenes) -> dict[str, float]:

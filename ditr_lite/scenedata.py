@@ -12,9 +12,11 @@ from tqdm.auto import tqdm
 
 from ditr_lite.augment import colours, lose_readings
 from ditr_lite.boundary import Backend, boundary_maps, get_backend
-from ditr_lite.conditioning import depth_bounds, to_tensor
+from ditr_lite.conditioning import depth_bounds, fit, to_tensor
 from ditr_lite.data import read_sample
 from ditr_lite.files import written_whole
+
+MAPS = ("rgb", "depth", "depth_gt", "material")  # what every scene has
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,28 @@ def load_scenes(
         material=np.stack([s.material for s in samples]),
         guides=guides,
     )
+
+
+def shrink(scenes: Scenes, size: tuple[int, int], boundary: str = "classical") -> Scenes:
+    """Return scenes at a working size, brought there as the system brings a frame there, with guides found there."""
+    frame, backend = fit(scenes.depth.shape[1:], size), get_backend(boundary)
+    small = {name: np.stack([frame.into(image) for image in getattr(scenes, name)]) for name in MAPS}
+    metres = small["depth"].astype(np.float32) / 1000
+    maps = [boundary_maps(rgb, depth, backend) for rgb, depth in zip(small["rgb"], metres, strict=True)]
+    guides = np.stack([np.stack([m_rgb, m_da]) for m_rgb, _, m_da in maps]).astype(np.uint8)
+    return Scenes(names=scenes.names, guides=guides, **small)
+
+
+def join(groups: list[Scenes]) -> Scenes:
+    """Return groups of scenes of one size, all with guides, as one."""
+    maps = {name: np.concatenate([getattr(g, name) for g in groups]) for name in (*MAPS, "guides")}
+    return Scenes(names=[name for g in groups for name in g.names], **maps)
+
+
+def first(scenes: Scenes, count: int | None) -> Scenes:
+    """Return the first ``count`` scenes, all for None."""
+    maps = {name: getattr(scenes, name)[:count] for name in (*MAPS, "guides") if getattr(scenes, name) is not None}
+    return Scenes(names=scenes.names[:count], **maps)
 
 
 def _guides(paths: list[Path], boundary: str, store: Path) -> np.ndarray:

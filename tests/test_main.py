@@ -313,15 +313,29 @@ def test_train_all_goes_through_the_parts_and_makes_usable_weights(scenes, tmp_p
     out, work = tmp_path / "weights", tmp_path / "work"
     argv = ["train", "--preset", "tiny", "--data", str(scenes / "val"), "--val", str(scenes / "test"), "--limit", "2"]
     argv += ["--steps", "1", "--batch", "2", "--lr", "1e-3", "--out", str(out), "--work", str(work)]
-    assert main([*argv, "--set", "unet.heads=1"]) == 0
-    assert json.loads((out / "card.json").read_text())["config"]["unet"]["heads"] == 1
+    assert main(argv) == 0
     assert set(json.loads((out / "card.json").read_text())["parts"]) == set(recipes.RECIPES)
     assert main(arguments(frame, out, tmp_path / "c.png")) == 0
     capsys.readouterr()
     # other sizes must not be mixed into the same folder
-    assert "another unet setting" in refused([*argv, "--part", "optical"], capsys)
+    assert "another unet setting" in refused([*argv, "--part", "optical", "--set", "unet.heads=1"], capsys)
     again = [*argv, "--part", "region", "--set", "region.width=16", "--out", str(tmp_path / "other")]
     assert "checkpoint.safetensors is of other sizes" in refused(again, capsys)
+
+
+def test_a_changed_tiny_system_is_compared_with_the_default(scenes, tmp_path, frame, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    argv = ["train", "--preset", "tiny", "--set", "unet.heads=1", "--val", str(scenes / "val"), "--limit", "2"]
+    argv += ["--steps", "1", "--batch", "2", "--lr", "1e-3", "--seed", "3"]
+    assert main(argv) == 0
+    printed = capsys.readouterr().out
+    assert "2 scenes to train on, seed 3; trained again: optical, geometric, detail" in printed
+    assert "unet.heads=1" in printed and "[95 % interval], paired over frames" in printed
+    assert {p.name for p in tmp_path.iterdir()} == {"outputs", frame.name}
+    card = json.loads(Path("outputs/weights/tiny/unet.heads=1/card.json").read_text())
+    assert card["config"]["unet"]["heads"] == 1 and card["parts"]["optical"]["recipe"]["batch"] == 2
+    assert main(arguments(frame, tmp_path / "outputs/weights/tiny/unet.heads=1", tmp_path / "c.png")) == 0
+    assert "nothing is changed" in refused([*argv, "--set", "unet.heads=2"], capsys)
 
 
 def test_only_plain_lite_writes_into_the_shipped_weights(scenes, monkeypatch, capsys):
