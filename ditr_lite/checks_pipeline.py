@@ -1,4 +1,4 @@
-"""Checkers for the exercises on the whole pipeline: what a branch may see, and what several samples say together."""
+"""Checkers for the exercises on the whole pipeline: what a branch may see, what samples say together, what it costs."""
 
 import numpy as np
 
@@ -91,3 +91,38 @@ def check_spread(attempt: Function) -> bool:
     }
 
     return check("mean and spread", attempt, right, [(depth, optical, geometric, region)], mistakes, rtol=1e-4)
+
+
+def check_conv_flops(attempt: Function) -> bool:
+    """Check ``attempt(channels_in, channels_out, kernel, height, width, stride)``: operations of a convolution.
+
+    A multiply-add is two operations; height and width are those of the input, padded so that stride 1 keeps them and
+    stride s divides them by s; the bias is not counted.
+    """
+
+    def right(cin, cout, k, h, w, s):
+        return 2 * cin * cout * k * k * (h // s) * (w // s)
+
+    cases = [(3, 8, 3, 24, 32, 1), (32, 64, 3, 48, 64, 2), (16, 4, 1, 12, 20, 1), (8, 8, 5, 30, 40, 2)]
+    mistakes = {
+        "a multiply-add is two operations: twice as many": lambda *a: right(*a) // 2,
+        "that is four operations a multiply-add; it is two": lambda *a: 2 * right(*a),
+        "the kernel is square: its side counts twice": lambda *a: right(*a) // a[2],
+        "every output channel looks at every input channel: the product of both": lambda cin, cout, k, h, w, s: right(
+            1, cout, k, h, w, s
+        ),
+        "one such sum for every output channel": lambda cin, cout, k, h, w, s: right(cin, 1, k, h, w, s),
+        "channels multiply, they do not add": lambda cin, cout, k, h, w, s: right(cin + cout, 1, k, h, w, s),
+        "a stride leaves fewer places to compute: divide both sides by it": lambda cin, cout, k, h, w, s: right(
+            cin, cout, k, h, w, 1
+        ),
+        "the stride divides height *and* width": lambda cin, cout, k, h, w, s: s * right(cin, cout, k, h, w, s),
+        "those are the weights of the convolution; each works at every place of the output": lambda *a: (
+            right(*a[:3], 1, 1, 1) // 2
+        ),
+        "one operation more for the bias: it is not counted here": lambda cin, cout, k, h, w, s: (
+            right(cin, cout, k, h, w, s) + cout * (h // s) * (w // s)
+        ),
+        "that is in GFLOPs; give operations": lambda *a: right(*a) / 1e9,
+    }
+    return check("operations of a convolution", attempt, right, cases, mistakes, rtol=1e-9)

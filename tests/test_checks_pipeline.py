@@ -6,6 +6,7 @@ from checker_cases import checker_tests
 
 from ditr_lite import checks_pipeline as checks
 from ditr_lite import completion, conditioning
+from ditr_lite.unet import count_flops
 
 
 def given(depth, region):
@@ -21,7 +22,12 @@ def spread(depth, optical, geometric, region):
     return drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
 
 
-RIGHT = {checks.check_given: given, checks.check_spread: spread}
+def conv_flops(channels_in, channels_out, kernel, height, width, stride):
+    places = (height // stride) * (width // stride)
+    return 2 * places * channels_out * channels_in * kernel**2
+
+
+RIGHT = {checks.check_given: given, checks.check_spread: spread, checks.check_conv_flops: conv_flops}
 
 
 def given_with(known=None, evidence=None):
@@ -66,6 +72,18 @@ MISTAKES = [
     (checks.check_spread, lambda d, o, g, r: spread(np.zeros_like(d), o, g, r), "must stay"),
     (checks.check_spread, lambda *case: tuple(m.mean() for m in spread(*case)), "shape"),
     (checks.check_spread, lambda *case: spread(*case)[0], "shape (2, 6, 8)"),
+    (checks.check_conv_flops, lambda i, o, k, h, w, s: i * o * k**2 * (h // s) * (w // s), "twice as many"),
+    (checks.check_conv_flops, lambda i, o, k, h, w, s: 4 * i * o * k**2 * (h // s) * (w // s), "four operations"),
+    (checks.check_conv_flops, lambda i, o, k, h, w, s: 2 * i * o * k * (h // s) * (w // s), "side counts twice"),
+    (checks.check_conv_flops, lambda i, o, k, h, w, s: 2 * o * k**2 * (h // s) * (w // s), "every input channel"),
+    (checks.check_conv_flops, lambda i, o, k, h, w, s: 2 * i * k**2 * (h // s) * (w // s), "every output channel"),
+    (checks.check_conv_flops, lambda i, o, k, h, w, s: 2 * (i + o) * k**2 * (h // s) * (w // s), "do not add"),
+    (checks.check_conv_flops, lambda i, o, k, h, w, s: 2 * i * o * k**2 * h * w, "fewer places"),
+    (checks.check_conv_flops, lambda i, o, k, h, w, s: 2 * i * o * k**2 * h * w // s, "height *and* width"),
+    (checks.check_conv_flops, lambda i, o, k, h, w, s: i * o * k**2, "weights of the convolution"),
+    (checks.check_conv_flops, lambda i, o, k, h, w, s: (2 * i * k**2 + 1) * o * (h // s) * (w // s), "bias"),
+    (checks.check_conv_flops, lambda *case: conv_flops(*case) / 1e9, "give operations"),
+    (checks.check_conv_flops, lambda i, o, k, h, w, s: conv_flops(i, o, k, h + 2, w, s), "expected"),
 ]
 
 
@@ -75,6 +93,13 @@ MISTAKES = [
     test_a_stub_is_not_a_failure_of_the_notebook,
     test_every_checker_is_tested,
 ) = checker_tests(checks, RIGHT, MISTAKES)
+
+
+def test_counting_by_hand_agrees_with_the_counter():
+    for case in ((3, 8, 3, 24, 32, 1), (8, 4, 3, 24, 32, 2), (8, 8, 1, 12, 20, 1)):
+        channels_in, channels_out, kernel, height, width, stride = case
+        conv = torch.nn.Conv2d(channels_in, channels_out, kernel, stride, padding=kernel // 2)
+        assert conv_flops(*case) == count_flops(conv, torch.zeros(1, channels_in, height, width))
 
 
 def test_the_exercises_are_what_the_pipeline_does():
