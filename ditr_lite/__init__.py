@@ -26,6 +26,7 @@ MODULES = (
     "loss_types",
     "shadows",
     "summaries",
+    "ablation",
     "tables",
     "audit",
     "metrics",
