@@ -6,6 +6,7 @@ from scipy.stats import rankdata
 from ditr_lite import failures
 from ditr_lite.ablation import compare_seeds
 from ditr_lite.checker import Function, check
+from ditr_lite.draws import reliability
 
 
 def check_paired_mean(attempt: Function) -> bool:
@@ -197,7 +198,7 @@ def check_reliability(attempt: Function) -> bool:
     def by_spread(s, e):
         return np.argsort(s, kind="stable")
 
-    right = binned(by_spread, rms, rms)
+    right = reliability
     rng = np.random.default_rng(4)
     spread = rng.uniform(0.002, 0.03, 60)
     case = (spread, rng.normal(0, 1.5 * spread), 6)
