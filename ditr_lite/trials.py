@@ -1,0 +1,71 @@
+"""What was tried and what was chosen: every comparison on validation scenes that the committed results hold.
+
+Winners alone would hide what they cost and how near the others came. Paper: no table of this kind is given.
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ditr_lite.config import from_dict
+from ditr_lite.store import WEIGHTS, read_card
+
+
+class Trial(NamedTuple):
+    """One setting that was tried: the part, the setting, errors in metres on validation scenes, whether it was taken.
+
+    ``price`` says in words what else the choice looked at; ``command`` makes the figures again.
+    """
+
+    part: str
+    setting: str
+    optical_m: float
+    chosen: bool
+    price: str
+    command: str
+
+
+def trials(folder: Path | str = WEIGHTS) -> list[Trial]:
+    """Read what was tried from ``results_factors.json``, ``results_region.json`` and the card in ``folder``."""
+    factors, region = (
+        json.loads((Path(folder) / f"results_{name}.json").read_text()) for name in ("factors", "region")
+    )
+    shipped = 2 ** len(from_dict(read_card(folder)["config"]).autoencoder.multipliers)
+    found = []
+    for row in factors["rows"]:
+        price = f"{row['step_flop'] / 1e9:.1f} GFLOP a step"
+        error, name = row["floor"]["rmse_m"]["optical"][0], f"factor {row['factor']}"
+        found.append(Trial("autoencoder", name, error, row["factor"] == shipped, price, factors["command"]))
+    for name, row in region["refinement"].items():
+        price = f"whole frame {1000 * row['whole_m']['mean'][0]:.1f} mm"
+        error = row["optical_m"]["mean"][0]
+        found.append(Trial("refinement", name, error, name == region["shipped"], price, region["command"]))
+    tuning = region["finetuning"]
+    before = {k: np.mean([v for v in tuning["before"][k] if v is not None]) for k in ("optical_m", "whole_m")}
+    variants = {"not fine-tuned": before} | {
+        name: {k: before[k] + row["change"][k][0] for k in before}
+        for name, row in tuning.items()
+        if isinstance(row, dict) and "change" in row
+    }
+    for name, row in variants.items():
+        price = f"whole frame {1000 * row['whole_m']:.1f} mm"
+        chosen = name == "not fine-tuned"
+        found.append(Trial("stage one", name, float(row["optical_m"]), chosen, price, region["command"]))
+    return found
+
+
+def format_trials(found: Sequence[Trial]) -> str:
+    """Return the table, and per part whether what was chosen has the lowest optical error."""
+    lines = [f"{'part':12} {'setting':40}{'optical mm':>11}   what else it cost"]
+    for t in found:
+        lines.append(f"{t.part:12} {t.setting:40}{1000 * t.optical_m:11.1f}   {t.price}{' <- chosen' * t.chosen}")
+    lines.append("")
+    for part in dict.fromkeys(t.part for t in found):
+        rows = [t for t in found if t.part == part]
+        best, chosen = min(rows, key=lambda t: t.optical_m), next(t for t in rows if t.chosen)
+        said = "which also has the lowest error" if best is chosen else f"though {best.setting} has the lowest error"
+        lines.append(f"{part}: chosen {chosen.setting}, {said} ({chosen.command})")
+    return "\n".join(lines)

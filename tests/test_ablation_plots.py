@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+
+from ditr_lite import ablation_plots, panels
+from ditr_lite.data import Sample
+
+
+def axes():
+    return panels.Picture(3, 2).subplots()
+
+
+def test_intervals_are_coloured_by_what_they_exclude():
+    ax = axes()
+    rows = {"worse": (0.002, 0.001, 0.003), "better": (-0.002, -0.003, -0.001), "neither": (0, -0.001, 0.001)}
+    ablation_plots.intervals(ax, rows | {"empty": None}, "mm", "title")
+    lines = [line for line in ax.lines if line.get_marker() == "None" and line.get_linestyle() == "-"]
+    assert [line.get_color() for line in lines] == [panels.OKABE_ITO[5], panels.OKABE_ITO[2], panels.GREY]
+    np.testing.assert_allclose([line.get_xdata() for line in lines], [[1, 3], [-3, -1], [-1, 1]])
+    assert [text.get_text() for text in ax.get_yticklabels()] == [*rows, "empty"]
+    assert ax.yaxis_inverted()  # the first row on top
+
+
+def test_levels_have_no_zero_line_and_one_colour():
+    ax = axes()
+    ablation_plots.intervals(ax, {"a": (2, 1, 3)}, "m", scale=1, zero=False)
+    assert len(ax.lines) == 2 and {line.get_color() for line in ax.lines} == {panels.OKABE_ITO[4]}
+
+
+def test_marked_frames_stand_out_and_all_are_drawn_in_millimetres():
+    ax = axes()
+    ablation_plots.scatter(ax, [1, 2, 3], [0.01, 0.02, 0.03], [False, True, False], "x", "title")
+    plain, marked = (c.get_offsets().data for c in ax.collections)
+    np.testing.assert_allclose(plain, [[1, 10], [3, 30]])
+    np.testing.assert_allclose(marked, [[2, 20]])
+
+
+def scenes(count):
+    region = np.zeros((12, 16), bool)
+    region[3:8, 4:9] = True
+    truth = np.full((12, 16), 0.6, np.float32)
+    sample = Sample("s", np.zeros((12, 16, 3), np.uint8), truth, truth, region)
+    return [sample] * count, [truth + np.float32(0.02)] * count, [f"scene {k}" for k in range(count)], [region] * count
+
+
+def test_the_worst_scenes_stand_in_rows_with_their_titles():
+    figure = ablation_plots.worst_scenes(*scenes(3), columns=2)
+    titles = [ax.get_title() for ax in figure.axes if ax.get_title()]
+    assert titles == ["scene 0", "scene 1", "scene 2"]
+    shown = [ax.images[0].get_array() for ax in figure.axes if ax.images and ax.images[0].get_array().ndim == 2]
+    shown = [a for a in shown if a.shape == (12, 16)]
+    assert len(shown) == 3 and np.ma.count(shown[0]) == 25 and shown[0].mean() == pytest.approx(20, rel=1e-3)
+    assert sum(ax.get_legend() is not None for ax in figure.axes) == 1
+    assert figure.png()
+
+
+def test_lists_of_different_lengths_are_refused():
+    samples, depths, titles, found = scenes(2)
+    with pytest.raises(ValueError, match="as many of each"):
+        ablation_plots.worst_scenes(samples, depths[:1], titles, found)
+    with pytest.raises(ValueError, match="as many of each"):
+        ablation_plots.worst_scenes([], [], [], [])
