@@ -4,6 +4,8 @@ Paper: Table VI (latency and GFLOPs per stage at 1280 x 720). Its 206 GFLOPs for
 two branches plus two ViT-L passes; so here every stage is counted by running it, sampler and all.
 """
 
+import cProfile
+import pstats
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,6 +24,16 @@ from ditr_lite.unet import count_flops
 
 MIN_RUNS = 5
 LARGE = (720, 1280)  # of Table VI
+KINDS = {  # of work: name -> parts of the names of the functions that do it
+    "convolution": ("conv",),
+    "matrix product": ("addmm", "matmul", "linear"),
+    "minimum": ("amin", "argmin", "'min'"),
+    "attention": ("scaled_dot_product",),
+    "activation": ("silu", "relu", "sigmoid", "softmax"),
+    "normalisation": ("norm",),
+    "moving and resizing": ("cat", "shuffle", "upsample", "pool", "pad", "contiguous", "clone", "resize", "stack"),
+}
+REST = "the rest"  # Python itself, NumPy, arithmetic that is written as an operator
 
 
 @torch.no_grad()
@@ -61,6 +73,27 @@ def median_ms(fn: Callable[[], object], runs: int) -> float:
         fn()
         seconds.append(time.perf_counter() - start)
     return 1000 * float(np.median(seconds))
+
+
+def where_time_goes(fn: Callable[[], object], runs: int = 3) -> dict[str, float]:
+    """Return kind of work -> milliseconds a call, the largest first; together they are the time of a call.
+
+    Python's own profiler notes every call, which costs time itself: what is called often looks dearer than it is.
+
+    Args:
+        fn: what to profile, once more beforehand to warm up.
+        runs: calls whose mean is taken.
+    """
+    fn()
+    profiler = cProfile.Profile()
+    with profiler:
+        for _ in range(runs):
+            fn()
+    spent = dict.fromkeys([*KINDS, REST], 0.0)
+    for (file, _, name), (_, _, own, _, _) in pstats.Stats(profiler).stats.items():
+        kinds = (k for k, words in KINDS.items() if any(word in name for word in words))
+        spent[next(kinds, REST) if file == "~" else REST] += 1000 * own / runs  # ~: not written in Python
+    return dict(sorted(spent.items(), key=lambda item: -item[1]))
 
 
 def enlarged(sample: Sample, size: tuple[int, int] = LARGE) -> Sample:
