@@ -108,8 +108,8 @@ T3 | done | 07_metrics | Which δ did the tables use?
 audit.audit_table | test_audit.py::test_the_worded_delta_is_refuted_by_three_rows_of_table_3
 results on STD
 
-T4 | planned | 08_ablations | -
-- | -
+T4 | done | 08_ablations | 2 · Climb the paper's ladder: BB, +DP, +RR
+swaps.run | test_swaps.py::test_regions_are_what_they_are_called
 ablation: backbone, depth partition, region refinement
 
 T5 | done | 07_metrics | 7 · Audit the paper's tables
@@ -124,8 +124,8 @@ A1 | done | 09_your_own_camera | 10 · Four cameras, one scene
 sensors.measure | test_sensors.py::test_shipped_frames_show_the_signatures
 generalisation without ground truth over four cameras
 
-A2 | planned | 08_ablations | -
-- | -
+A2 | done | 08_ablations | 8 · Search for failures (A2)
+failures.correlations | test_failures.py::test_correlations_are_taken_over_the_frames_in_both
 failure cases: very large and overlapping objects
 
 F1 | done | 01_depth_loss_anatomy | Fig. 1 of the paper, from our frames
@@ -176,8 +176,8 @@ F12 | done | 09_your_own_camera | 10 · Four cameras, one scene
 datasets.TROSD | test_datasets.py::test_every_reader
 generalisation on TROSD; our scenes under four simulated cameras
 
-F13 | planned | 08_ablations | -
-- | -
+F13 | done | 08_ablations | The worst ten
+failures.worst | test_failures.py::test_the_worst_come_first
 failure cases
 
 C1 | done | 06_full_pipeline | 11 · Score it beside every baseline

@@ -11,8 +11,8 @@ import numpy as np
 
 from ditr_lite import metrics
 from ditr_lite.data import Sample
+from ditr_lite.draws import flying_share
 from ditr_lite.summaries import bootstrap_mean, paired_bootstrap
-from ditr_lite.uncertainty import flying_pixels
 
 SETS = ("optical", "geometric")
 # steps -> (frames, members drawn for each): many steps are dear, so fewer frames are asked; rows say how many
@@ -28,8 +28,8 @@ def score_members(members: Sequence[np.ndarray], sample: Sample) -> dict[str, An
 
     Returns:
         ``single``, ``mean``: set -> RMSE in metres, of a single member on average and of the mean of 1, 2, 4, ...
-        members (by their number); ``crps``, ``spread``: set -> metres; ``flying_single``, ``flying_mean``: share of
-        pixels at depth edges.
+        members (by their number); ``crps``, ``spread``: set -> metres; ``flying_single``, ``flying_mean``: per cent of
+        the region's pixels at depth edges, None without such.
     """
     stack = np.stack(members)
     pixels = metrics.pixel_sets(sample.depth_gt, sample.region, sample.depth)
@@ -46,8 +46,9 @@ def score_members(members: Sequence[np.ndarray], sample: Sample) -> dict[str, An
             out["mean"][str(n)][key] = float(np.mean([metrics.rmse(g, sample.depth_gt, where) for g in groups]))
         out["crps"][key] = metrics.crps(stack, sample.depth_gt, where)
         out["spread"][key] = float(stack.std(0, ddof=int(len(members) > 1))[where].mean())
-    out["flying_single"] = float(np.mean([flying_pixels(m, sample.depth_gt) for m in members]))
-    out["flying_mean"] = flying_pixels(stack.mean(0), sample.depth_gt)
+    singles = [flying_share(m, sample.depth_gt, sample.region) for m in members]
+    out["flying_single"] = None if None in singles else float(np.mean(singles))
+    out["flying_mean"] = flying_share(stack.mean(0), sample.depth_gt, sample.region)
     return out
 
 
@@ -87,7 +88,7 @@ def format_steps(rows: Mapping[str, Sequence[Mapping[str, Any]]], key: str = "op
         columns = [[r["single"].get(key) for r in frames], [r["mean"][most].get(key) for r in frames]]
         columns += [[r[name].get(key) for r in frames] for name in ("crps", "spread")]
         cells = [f"{1000 * bootstrap_mean(c)[0]:13.1f}" for c in columns]
-        cells += [f"{100 * np.nanmean([r[name] for r in frames]):12.1f}%" for name in ("flying_single", "flying_mean")]
+        cells += [f"{bootstrap_mean([r[name] for r in frames])[0]:12.1f}%" for name in ("flying_single", "flying_mean")]
         gain = [1000 * v for v in paired_bootstrap(columns[0], first[: len(frames)])]
         lines.append(f"{steps:>5} {len(frames):6}" + "".join(cells) + "   {:+.1f} [{:+.1f}, {:+.1f}]".format(*gain))
     return "\n".join(lines)

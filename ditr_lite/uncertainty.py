@@ -1,44 +1,15 @@
-"""Does the system know where it is wrong? Coverage, reliability, risk against coverage, and flying pixels.
+"""Does the system know where it is wrong? Coverage, reliability and risk against coverage of a stated error.
 
-RMSE asks only for the mean; it is lowest for a blurred one. These scores ask what RMSE hides: whether the stated error
-is the true one, whether it puts bad pixels last, and whether edges stay edges. Not in the paper.
+RMSE asks only for the mean. These scores ask whether the stated error is the true one, and whether it puts bad pixels
+last. Not in the paper.
 """
 
 from collections.abc import Sequence
 from math import erf, pi, sqrt
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.optimize import minimize
 from scipy.stats import norm
-
-GAP_M = 0.03  # truth that spans more than this within the window is an edge
-WINDOW = 7  # pixels
-MARGIN = 0.2  # of the gap: nearer to either surface, or to the truth, a point does not fly
-
-
-def flying_pixels(pred: np.ndarray, gt: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Return the share of pixels at depth edges that hang between the two surfaces.
-
-    A point flies when it lies farther than a fifth of the gap behind the nearest truth of its 7 x 7 window, before the
-    farthest, and from its own. Depth maps whose edges are averages of two surfaces give such points, which RMSE likes
-    and a robot's hand meets as an obstacle in mid-air (time-of-flight cameras make them, too).
-
-    Args:
-        pred: (H, W) metres.
-        gt: (H, W) metres, 0 = unknown.
-        mask: (H, W) bool, pixels to look at; None for all.
-
-    Returns:
-        Share in [0, 1]; NaN when there is no edge.
-    """
-    near = minimum_filter(np.where(gt > 0, gt, np.inf), WINDOW)
-    far = maximum_filter(gt, WINDOW)
-    gap = np.where(np.isfinite(near), far - near, 0)
-    edge = (gap > GAP_M) & (gt > 0) & (True if mask is None else mask)
-    limit = MARGIN * gap
-    flying = (pred > near + limit) & (pred < far - limit) & (np.abs(pred - gt) > limit)
-    return float(flying[edge].mean()) if edge.any() else float("nan")
 
 
 def coverage(error: np.ndarray, std: np.ndarray, times: float = 1.0) -> float:

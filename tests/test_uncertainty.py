@@ -11,29 +11,6 @@ def gaussian():
     return std * rng.normal(size=std.size), std
 
 
-def test_an_edge_of_averages_flies_and_a_sharp_one_does_not():
-    gt = np.full((20, 30), 0.8)
-    gt[:, :15] = 0.6
-    assert un.flying_pixels(gt, gt) == 0
-    blurred = gt.copy()
-    blurred[:, 14:16] = 0.7
-    edge = 6 * 20  # a 7-pixel window sees the step from three pixels on either side
-    assert un.flying_pixels(blurred, gt) == pytest.approx(2 * 20 / edge)
-    shifted = np.roll(gt, 1, axis=1)  # wrong, but on one of the two surfaces
-    assert un.flying_pixels(shifted, gt) == 0
-    assert un.flying_pixels(gt + 0.05, gt) < 0.6 and np.isnan(un.flying_pixels(gt, np.full_like(gt, 0.7)))
-
-
-def test_flying_pixels_are_looked_for_in_the_mask_and_where_truth_is_known():
-    gt = np.full((20, 30), 0.8)
-    gt[:, :15] = 0.6
-    pred = np.where(gt > 0.7, 0.7, gt)
-    upper = np.zeros(gt.shape, bool)
-    upper[:10] = True
-    half_known = np.where(upper, gt, 0)
-    assert un.flying_pixels(pred, gt, upper) == un.flying_pixels(pred, half_known) == pytest.approx(0.5)
-
-
 def test_honest_errors_cover_what_they_should(gaussian):
     for _, due, seen in un.reliability(*gaussian):
         assert seen == pytest.approx(due, abs=0.01)
