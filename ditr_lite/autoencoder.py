@@ -77,9 +77,8 @@ class VectorQuantizer(nn.Module):
         block = math.gcd(len(b2), 64)
         parts = []
         for part in vectors.split(512):  # so that the (512, K) distances stay in the cache: five times faster on a CPU
-            distances = torch.addmm(b2, part, self.codebook.T, alpha=-2).unflatten(
-                1, (-1, block)
-            )  # (N, K/block, block)
+            distances = torch.addmm(b2, part, self.codebook.T, alpha=-2)
+            distances = distances.unflatten(1, (-1, block))  # (N, K/block, block)
             # first which block, then where in it: a minimum alone costs a fraction of one with its index
             best = distances.amin(dim=2).argmin(dim=1)  # (N,)
             parts.append(best * block + distances[torch.arange(len(part), device=best.device), best].argmin(dim=1))

@@ -62,7 +62,7 @@ def costs(config: Config, sam: bool = False) -> list[Row]:
         ]
         if "detail" in parts:
             given = detail_input(one, one, one, one, rgb, one)
-            rows.append(_row("two", "detail", _parameters(parts["detail"]), samples, parts["detail"], given))
+            rows.append(_row("two", "detail", _parameters(parts["detail"]), 1, parts["detail"], given))
     if sam:
         gflops = vit_flops() / 1e9
         rows.insert(1, {"stage": "two", "network": "SAM ViT-L", "parameters": SAM_VIT_L, "gflops": gflops, "calls": 2})

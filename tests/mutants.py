@@ -165,9 +165,9 @@ AUTOENCODER = [
     *family(
         "quantiser",
         "autoencoder",
-        ("distance: -2 is -1", "alpha=-2).min", "alpha=-1).min"),
-        ("distance: sign", "alpha=-2).min", "alpha=2).min"),
-        ("farthest code", "alpha=-2).min(dim=1)", "alpha=-2).max(dim=1)"),
+        ("distance: -2 is -1", "alpha=-2)", "alpha=-1)"),
+        ("distance: sign", "alpha=-2)", "alpha=2)"),
+        ("farthest code", "amin(dim=2).argmin(dim=1)", "amax(dim=2).argmax(dim=1)"),
         ("code not squared", "self.codebook.square().sum(dim=1)", "self.codebook.sum(dim=1)"),
         (
             "average: decay for 1 - decay",
@@ -267,7 +267,9 @@ METRICS = [
         "summaries",
         ("pooled RMSE: of roots", 'columns["rmse"] ** 2 / total', 'columns["rmse"] / total'),
         ("pooled: not weighed", "float(n @ values / total)", "float(values.mean())"),
-        ("interval: 90 per cent", "[2.5, 97.5]", "[5.0, 95.0]"),
+        ("interval: 90 per cent", "mean(axis=1), [2.5, 97.5]", "mean(axis=1), [5.0, 95.0]"),
+        ("interval of a ratio: 90 per cent", "over / under, [2.5, 97.5]", "over / under, [5.0, 95.0]"),
+        ("ratio: mean of ratios", "pairs[:, 0].mean() / pairs[:, 1].mean()", "(pairs[:, 0] / pairs[:, 1]).mean()"),
     ),
     *family(
         "audit of tables",

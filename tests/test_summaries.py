@@ -93,8 +93,11 @@ def test_table_shows_millimetres_and_dashes():
 def test_a_ratio_of_means_keeps_pairs_together():
     hard = np.linspace(0.5, 2, 30)
     assert np.allclose(summaries.ratio_bootstrap(list(0.75 * hard), list(hard)), 0.75)
-    mean, low, high = summaries.ratio_bootstrap([1.0, 2.0, 3.0, None], [2.0, 2.0, 2.0, 5.0])
-    assert mean == 1.0 and low < 1 < high
+    mean, low, high = summaries.ratio_bootstrap([1.0, 2.0, 3.0, None], [1.0, 4.0, 1.0, 5.0])
+    assert mean == 1.0 and low < 1 < high  # the mean of the ratios would be 1.5
+    flat, values = np.ones(400), np.random.default_rng(1).normal(5.0, 1.0, 400)
+    _, low, high = summaries.ratio_bootstrap(values, flat)
+    assert high - low == pytest.approx(2 * 1.96 * values.std() / math.sqrt(400), rel=0.1)
     with pytest.raises(ValueError, match="common images"):
         summaries.ratio_bootstrap([None], [1.0])
     with pytest.raises(ValueError, match="same images"):
