@@ -30,7 +30,7 @@ from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.config import Config, preset
 from ditr_lite.files import write_json
 from ditr_lite.pipeline import build
-from ditr_lite.scenedata import Batch, Scenes, draw, load_scenes
+from ditr_lite.scenedata import Batch, Scenes, draw, first, load_scenes
 from ditr_lite.schedule import make_schedule
 from ditr_lite.store import WEIGHTS, load_part, save_part
 from ditr_lite.training import Recipe, fit
@@ -41,7 +41,9 @@ ARMS = {
     "ditr": {"optical": 0.42, "geometric": 0.25, "detail": 0.33},
 }
 RECIPE = Recipe(steps=1, batch=8, lr=1e-3)  # the steps follow from the time
-TIMED = 8  # steps whose median says how long one takes
+OWN = ("optical", "geometric", "detail")  # DITR's own networks
+TIMED_SCENES = 16  # are enough to time a step on
+Times = dict[str, float]
 EDGE = 0.02  # a step of log depth between neighbours, 2 % of the depth, is an occlusion boundary
 
 
@@ -85,6 +87,7 @@ def train_arm(
     parts = build(config)
     parts["autoencoder"].load_state_dict(load_part("autoencoder", weights))
     parts["autoencoder"].eval().requires_grad_(False)
+    times = step_times(Path(out) / "times.json", first(scenes, TIMED_SCENES), config, parts["autoencoder"])
     entries = {}
     for name, share in ARMS[arm].items():
         torch.manual_seed(seed)
@@ -95,7 +98,7 @@ def train_arm(
         for other in ("optical", "geometric") if name == "detail" else ():
             parts[other].eval().requires_grad_(False)
         step = _step_loss(name, net, parts, scenes, config, seed)
-        recipe = _recipe(net, step, 60 * minutes * share, Path(work) / f"{tag}-{seed}.time.json")
+        recipe = replace(RECIPE, steps=max(1, round(60 * minutes * share / times[name])))
         notes = fit(f"{tag}-{seed}", net, step, recipe, work, seed=seed)
         notes |= {"arm": arm, "minutes": minutes * share, "seed": seed, "scenes": len(scenes), "recipe": vars(recipe)}
         notes |= {"threads": torch.get_num_threads()}
@@ -104,17 +107,34 @@ def train_arm(
     return entries
 
 
-def _recipe(net: nn.Module, step: Callable[[int], dict[str, Tensor]], seconds: float, file: Path) -> Recipe:
-    """Return the recipe whose steps take that long here; measured once, so that a resumed run ends where it should."""
+def step_times(file: Path, scenes: Scenes, config: Config, autoencoder: VQAutoencoder, rounds: int = 8) -> Times:
+    """Return network -> seconds of processor time that a training step takes here.
+
+    Measured once, all networks in turn, so that a slow moment of the machine falls on all alike and a resumed run ends
+    where it should.
+
+    Args:
+        file: where the times are kept.
+        scenes: a few.
+        config: sizes.
+        autoencoder: trained or not.
+        rounds: over all networks; the median counts.
+    """
     if not file.is_file():
-        took = []
-        for k in range(TIMED):
-            start = time.process_time()
-            step(k)["total"].backward()
-            took.append(time.process_time() - start)
-        net.zero_grad(set_to_none=True)
-        write_json(file, {"seconds_a_step": sorted(took)[TIMED // 2]})
-    return replace(RECIPE, steps=max(1, round(seconds / json.loads(file.read_text())["seconds_a_step"])))
+        parts = build(config)
+        parts["autoencoder"] = autoencoder
+        nets = {name: peers.build_peer(name, config) for name in peers.NAMES}
+        nets |= {name: net for name, net in parts.items() if name in OWN}
+        losses = {name: _step_loss(name, net, parts, scenes, config, 0) for name, net in nets.items()}
+        took: dict[str, list[float]] = {name: [] for name in nets}
+        for k in range(rounds):
+            for name, loss in losses.items():
+                nets[name].requires_grad_(True).to(memory_format=torch.channels_last)
+                start = time.process_time()
+                loss(k)["total"].backward()
+                took[name].append(time.process_time() - start)
+        write_json(file, {name: sorted(seconds)[rounds // 2] for name, seconds in took.items()})
+    return json.loads(file.read_text())
 
 
 def _step_loss(name: str, net: nn.Module, parts: nn.ModuleDict, scenes: Scenes, config: Config, seed: int):

@@ -28,7 +28,9 @@ def scenes(tmp_path_factory):
     return load_scenes(DATA, 2, "classical", tmp_path_factory.mktemp("maps") / "maps.npz")
 
 
-def run(arm, folder, weights, minutes=1e-4):
+def run(arm, folder, weights, minutes=1e-4, seconds_a_step=0.01):
+    (folder / "out").mkdir(exist_ok=True)
+    (folder / "out" / "times.json").write_text(json.dumps(dict.fromkeys([*peers.NAMES, *pt.OWN], seconds_a_step)))
     return pt.train_arm(arm, minutes, 0, DATA, folder / "out", folder / "work", 2, TINY, weights)
 
 
@@ -37,19 +39,26 @@ def test_shares_of_an_arm_add_up_to_its_time():
 
 
 @pytest.mark.parametrize("arm", ["regression", "single_latent_diffusion", "ditr"])
-def test_an_arm_trains_all_its_networks_and_can_be_run_again(arm, tmp_path, weights, monkeypatch):
-    monkeypatch.setattr(pt, "TIMED", 1)
+def test_an_arm_trains_all_its_networks_and_can_be_run_again(arm, tmp_path, weights):
     entries = run(arm, tmp_path, weights)
     parts = read_card(tmp_path / "out")["parts"]
     assert set(parts) == {f"{name}-0" for name in entries} and len(entries) == len(pt.ARMS[arm])
     assert all(entry["steps"] >= 1 and entry["scenes"] == 2 for entry in entries.values())
-    again = run(arm, tmp_path, weights)  # the time of a step is measured once
+    again = run(arm, tmp_path, weights)
     assert {n: e["steps"] for n, e in again.items()} == {n: e["steps"] for n, e in entries.items()}
 
 
-def test_steps_follow_from_the_time_of_one(tmp_path, monkeypatch):
-    (tmp_path / "net.json").write_text(json.dumps({"seconds_a_step": 0.5}))
-    assert pt._recipe(torch.nn.Linear(1, 1), None, 60, tmp_path / "net.json").steps == 120
+def test_steps_follow_from_the_time_of_one(tmp_path, weights):
+    entries = run("regression", tmp_path, weights, minutes=1 / 60, seconds_a_step=0.5)
+    assert entries["regression"]["steps"] == 2
+
+
+def test_all_networks_are_timed_in_turn(tmp_path, scenes):
+    times = pt.step_times(tmp_path / "times.json", scenes, TINY, build(TINY)["autoencoder"], rounds=1)
+    assert set(times) == {*peers.NAMES, *pt.OWN} and min(times.values()) > 0
+    kept = {name: 1.0 for name in times}
+    (tmp_path / "times.json").write_text(json.dumps(kept))
+    assert pt.step_times(tmp_path / "times.json", scenes, TINY, None) == kept
 
 
 @pytest.mark.parametrize(("arm", "minutes", "reason"), [("oracle", 1, "unknown arm"), ("dp", 0, "positive number")])
