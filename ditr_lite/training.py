@@ -45,6 +45,7 @@ def fit(
     validate: Callable[[], dict[str, float]] | None = None,
     every: int = 500,
     seed: int = 0,
+    progress: bool = True,
 ) -> dict[str, Any]:
     """Train ``model`` in place and leave it with its moving-average weights.
 
@@ -60,6 +61,7 @@ def fit(
         validate: returns figures to log, taken with the averaged weights.
         every: steps between checkpoints.
         seed: of torch's generator.
+        progress: show a bar.
 
     Returns:
         ``steps``, ``seconds`` of wall time, and the ``curve`` of logged figures.
@@ -83,7 +85,8 @@ def fit(
         spent = curve[-1]["seconds"] if curve else 0.0
     started = time.monotonic()
     model.train()
-    for step in tqdm(range(first, recipe.steps), initial=first, total=recipe.steps, desc=name, unit="step"):
+    bar = {} if progress else {"disable": True}  # left to tqdm's own default otherwise
+    for step in tqdm(range(first, recipe.steps), name, recipe.steps, initial=first, unit="step", **bar):
         torch.manual_seed(seed * 1_000_003 + step)
         for group in optimiser.param_groups:
             group["lr"] = learning_rate(step, recipe)
