@@ -61,7 +61,7 @@ MODULES = (
     "steps_study",
     "failures",
     "floor",
-    "study",
+    "peer_study",
     "latency",
     "memory",
     "augment",

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ditr_lite.papermap_entries import ENTRIES
 
-STATES = ("done", "planned")
+STATES = ("done", "left out")
 GROUPS = {
     "Eq. ": "Equations",
     "I": "Formulas in the text",
@@ -27,10 +27,10 @@ GROUPS = {
 
 @dataclass(frozen=True)
 class Entry:
-    """One part of the paper and its home; ``-`` where there is none yet."""
+    """One part of the paper and its home; ``-`` where there is none."""
 
     id: str
-    status: str  # "done": all three links must hold; "planned": not yet
+    status: str  # "done": all three links must hold; "left out": no counterpart
     notebook: str  # file name without its suffix
     anchor: str  # heading, without its #, or id of a cell
     function: str  # module.name within ditr_lite
@@ -62,13 +62,13 @@ def entries() -> list[Entry]:
 
 
 def problems(entry: Entry, root: Path) -> list[str]:
-    """Return what keeps a done entry from being so: a missing home or a dead link. A planned entry has no problems.
+    """Return what keeps a done entry from being so: a missing home or a dead link. An entry left out has no problems.
 
     Args:
         entry: to look at.
         root: of the repository, in which ``tests`` and ``notebooks`` are.
     """
-    if entry.status == "planned":
+    if entry.status == "left out":
         return []
     found = {
         "function": (entry.function, has_function(entry.function)),
@@ -139,7 +139,7 @@ def _line(entry: Entry) -> str:
     function = "–" if entry.function == "-" else f"`{entry.function}`"
     file, _, name = entry.test.partition("::")
     test = f"[{name}](tests/{file})" if name else "–"
-    place = f"planned: {entry.notebook}"
+    place = "no counterpart here"
     if entry.status == "done":
         place = f"[{entry.notebook}](notebooks/{entry.notebook}.ipynb), {entry.anchor}"
     cells = [entry.id, entry.paper, function, test, place]

@@ -1,10 +1,10 @@
 """Where each part of the paper lives: three lines an entry, read by ``papermap``.
 
-    id | done or planned | notebook | heading or cell id in it (- while there is none)
-    function, as module.name | test, as file::name             (- while there is none)
+    id | done or left out | notebook | heading or cell id in it (- where there is none)
+    function, as module.name | test, as file::name              (- where there is none)
     what the paper has there
 
-A ``planned`` entry becomes ``done`` by changing that word and giving the heading; tests then hold it to its links.
+Tests hold a ``done`` entry to its links; a ``left out`` one has no counterpart here.
 """
 
 ENTRIES = """
@@ -184,16 +184,16 @@ C1 | done | 06_full_pipeline | 11 · Score it beside every baseline
 baselines.keep_and_fill | test_baselines.py::test_keeping_keeps_readings_inside
 DeepCompletion; the idea: trust every reading, solve for the smoothest surface in the holes
 
-C2 | planned | 08_ablations | -
-- | -
+C2 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.PixelUNet | test_peers.py::test_colour_alone_looks_at_no_depth
 DenseDepth; the idea: regress depth from colour alone
 
-C3 | planned | 08_ablations | -
-- | -
-SRD; the idea: segment what the sensor gets wrong, then regress
+C3 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peer_study.methods | test_peer_study.py::test_every_method_is_asked_about_every_frame
+SRD; the idea: segment what the sensor gets wrong, then regress (a peer, composed with the region)
 
-C4 | planned | 08_ablations | -
-- | -
+C4 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.aligned | test_peers.py::test_alignment_undoes_a_scale_and_a_shift
 MiDaS; the idea: depth from colour up to scale and shift
 
 C5 | done | 04_ddpm_math | Who asks whom?
@@ -204,11 +204,11 @@ C6 | done | 06_full_pipeline | 11 · Score it beside every baseline
 baselines.harmonic | test_baselines.py::test_readings_inside_the_region_are_not_looked_at
 ClearGrasp; the idea: drop the readings inside the region, solve from what surrounds it
 
-C7 | planned | 08_ablations | -
+C7 | left out | - | -
 - | -
 LIDF; the idea: an implicit function along each ray
 
-C8 | planned | 08_ablations | -
+C8 | left out | - | -
 - | -
 TranspareNet; the idea: complete the distorted cloud, then the map
 
@@ -216,11 +216,11 @@ C9 | done | 06_full_pipeline | 11 · Score it beside every baseline
 baselines.keep_and_fill_debiased | test_baselines.py::test_debiased_takes_the_bias_off_inside_only
 DFNet; the idea: correct the readings inside the region instead of dropping them
 
-C10 | planned | 08_ablations | -
+C10 | left out | - | -
 - | -
 DepthGrasp; the idea: let a critic tell completed depth from real
 
-C11 | planned | 08_ablations | -
-- | -
+C11 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.predicted_depth | test_peers.py::test_confidence_decides_between_prediction_and_sensor
 SwinDRNet; the idea: fuse colour and depth by confidence
 """

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 import ditr_lite as dl
-from ditr_lite import study
+from ditr_lite import peer_study
 from ditr_lite.files import write_json
 from ditr_lite.store import read_card
 
@@ -23,19 +23,19 @@ def main() -> None:
     parser.add_argument("--split", default="test")
     parser.add_argument("--limit", type=int)
     parser.add_argument("--peers", type=Path, default=Path("outputs/peers"))
-    parser.add_argument("--json", type=Path, default=study.RESULTS)
+    parser.add_argument("--json", type=Path, default=peer_study.RESULTS)
     args = parser.parse_args()
     ditr = dl.Ditr.from_pretrained()
-    rows = study.methods(ditr, args.peers)
-    scores = study.run((dl.load_sample(n) for n in dl.list_samples(args.split)[: args.limit]), ditr, rows)
-    report = study.summarise(scores)
+    rows = peer_study.methods(ditr, args.peers)
+    scores = peer_study.run((dl.load_sample(n) for n in dl.list_samples(args.split)[: args.limit]), ditr, rows)
+    report = peer_study.summarise(scores)
     card = read_card(args.peers)["parts"]
     report["trained"] = {
         name: {k: part[k] for k in ("arm", "minutes", "seed", "steps", "scenes", "sha256")}
         for name, part in card.items()
     }
     report["weights_sha256"] = {name: part["sha256"] for name, part in read_card()["parts"].items()}
-    for table in (study.format_peers, study.format_ablation, study.format_oracles):
+    for table in (peer_study.format_peers, peer_study.format_ablation, peer_study.format_oracles):
         print(table(report), end="\n\n")
     command = shlex.join(["python", *sys.argv])
     write_json(args.json, {"command": command, "split": args.split, "frames": len(scores), **report, "rmse_m": scores})

@@ -34,6 +34,15 @@ ORACLES = {  # what is put in the place of one part of the shipped system
     "one sample": "no averaging",
     "sixteen samples": "four times the averaging",
 }
+IDEAS = {  # peer -> its idea, and the systems of Tables I to III that have it
+    "regression": "one U-Net from colour and raw depth to depth (DFNet)",
+    "rgb_only": "depth from colour alone, in metres (DenseDepth, SRD, MiDaS)",
+    "rgb_only_aligned": "the same, scaled and shifted to the readings (MiDaS)",
+    "normals_optimisation": "predict orientation and edges, then solve for depth (DeepCompletion, ClearGrasp)",
+    "two_stream_confidence": "a prediction and the sensor, blended by learnt confidence (SwinDRNet)",
+    "single_latent_diffusion": "one latent denoiser for the whole frame (LDM; BB)",
+}
+AIM = 0.76  # the paper's overall RMSE over DFNet's
 Method = Callable[[Sample, Completion], np.ndarray]  # frame and shipped completion -> depth
 
 
@@ -136,9 +145,37 @@ def summarise(scores: Mapping[str, Mapping[str, Mapping[str, float | None]]]) ->
     return out
 
 
-def load_study(path: Path | str = RESULTS) -> dict[str, Any]:
+def load_results(path: Path | str = RESULTS) -> dict[str, Any]:
     """Read what ``tools/peer_study.py`` wrote."""
     return json.loads(Path(path).read_text(encoding="utf-8"))
+
+
+def by_seed(report: Mapping[str, Any], step: str, key: str) -> np.ndarray:
+    """Return the errors (S, N) in metres of a step of the ablation: its training seeds by frames that hold such pixels.
+
+    Args:
+        report: what ``tools/peer_study.py`` wrote.
+        step: ``BB``, ``+DP`` or ``+RR``.
+        key: pixel set.
+    """
+    names = [f"{step}, seed {seed}" for seed in report["ablation"]]
+    rows = [[frame[n][key] for n in names] for frame in report["rmse_m"].values()]
+    return np.array([row for row in rows if None not in row]).T
+
+
+def verdict(report: Mapping[str, Any]) -> str:
+    """Say whether DITR at equal time keeps to the paper's ratio, against regression and the best composed peer."""
+    mean, lines = report["mean"], []
+    best = min((n for n in IDEAS if n in mean), key=lambda n: mean[n]["optical"][0])
+    for name in dict.fromkeys(("regression", best)):
+        middle, low, high = report["ratio"][name]["optical"]
+        told = "smaller" if high < 1 else "larger" if low > 1 else "not measurably different"
+        held = "held" if middle <= AIM else "held in the interval only" if low <= AIM else "not held"
+        lines.append(
+            f"DITR's optical error at equal time is {told}: {middle:.2f} [{low:.2f}, {high:.2f}] times that of {name}; "
+            f"the paper's {AIM} is {held}"
+        )
+    return "\n".join(lines)
 
 
 def format_peers(report: Mapping[str, Any]) -> str:

@@ -3,12 +3,12 @@ import json
 import numpy as np
 import pytest
 
-from ditr_lite import study
+from ditr_lite import peer_study, peers
 
 RNG = np.random.default_rng(0)
 LEVELS = {  # method -> RMSE in metres about which its frames lie
-    study.SHIPPED: 0.030,
-    study.EQUAL: 0.040,
+    peer_study.SHIPPED: 0.030,
+    peer_study.EQUAL: 0.040,
     "true region": 0.020,
     "no detail network": 0.035,
     "truth through the autoencoder": 0.010,
@@ -32,14 +32,14 @@ def scores():
     for i in range(20):
         hard = RNG.uniform(0.5, 1.5)
         frames[f"f{i}"] = {
-            n: {k: None if k == "optical" and i == 3 else hard * v for k in study.SETS} for n, v in LEVELS.items()
+            n: {k: None if k == "optical" and i == 3 else hard * v for k in peer_study.SETS} for n, v in LEVELS.items()
         }
     return frames
 
 
 @pytest.fixture(scope="module")
 def report(scores):
-    return study.summarise(scores)
+    return peer_study.summarise(scores)
 
 
 def test_ratios_and_changes_are_those_of_the_means(report):
@@ -50,17 +50,47 @@ def test_ratios_and_changes_are_those_of_the_means(report):
     assert low < mean < high < 0
 
 
+def test_every_idea_is_a_peer():
+    assert set(peer_study.IDEAS) == {*peers.NAMES, "rgb_only_aligned"}
+
+
+def test_errors_by_seed_leave_out_frames_without_such_pixels(report, scores):
+    errors = peer_study.by_seed({**report, "rmse_m": scores}, "BB", "optical")
+    assert errors.shape == (2, 19) and np.allclose(errors[1] / errors[0], 62 / 60)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "said"),
+    [
+        ((0.70, 0.60, 0.75), "smaller: 0.70 [0.60, 0.75] times that of regression; the paper's 0.76 is held"),
+        ((0.80, 0.70, 1.10), "not measurably different: 0.80 [0.70, 1.10] times that of regression"),
+        ((0.80, 0.70, 0.90), "held in the interval only"),
+        ((1.20, 1.10, 1.30), "larger: 1.20"),
+    ],
+)
+def test_the_verdict_follows_the_interval(report, ratio, said):
+    text = peer_study.verdict({**report, "ratio": {"regression": {"optical": ratio}}})
+    assert said in text and ("is not held" in text) == (ratio[1] > 0.76)
+
+
 def test_tables_name_every_row_and_survive_json(report):
     again = json.loads(json.dumps(report))
-    peers, ablation, oracles = (f(again) for f in (study.format_peers, study.format_ablation, study.format_oracles))
-    assert "regression, bare" in peers and study.EQUAL in peers and "harmonic" in peers and "0.89 [0.89, 0.89]" in peers
+    peers, ablation, oracles = (
+        f(again) for f in (peer_study.format_peers, peer_study.format_ablation, peer_study.format_oracles)
+    )
+    assert (
+        "regression, bare" in peers
+        and peer_study.EQUAL in peers
+        and "harmonic" in peers
+        and "0.89 [0.89, 0.89]" in peers
+    )
     assert ablation.count("seed 1") == 3 and "-25 [-25, -25] %" in ablation
-    assert all(name in oracles for name in study.ORACLES)
+    assert all(name in oracles for name in peer_study.ORACLES)
 
 
 def test_a_study_needs_trained_arms(tmp_path):
     with pytest.raises(ValueError, match="no weights in"):
-        study.arm_system(tmp_path, "dp", 0)
+        peer_study.arm_system(tmp_path, "dp", 0)
 
 
 def test_every_method_is_asked_about_every_frame():
@@ -69,5 +99,5 @@ def test_every_method_is_asked_about_every_frame():
 
     ditr, sample = Ditr.from_pretrained(), load_sample("val_00000")
     rows = {"ditr": lambda s, out: out.depth, "truth": lambda s, out: np.where(s.depth_gt > 0, s.depth_gt, 1)}
-    (found,) = study.run([sample], ditr, rows).values()
+    (found,) = peer_study.run([sample], ditr, rows).values()
     assert set(found) == {"ditr", "truth"} and found["truth"]["optical"] == 0 < found["ditr"]["optical"]
