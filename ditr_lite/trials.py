@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ditr_lite.config import from_dict
+from ditr_lite.setting_study import DEFAULT, against_default, errors
 from ditr_lite.store import WEIGHTS, read_card
 
 
@@ -29,9 +30,9 @@ class Trial(NamedTuple):
 
 
 def trials(folder: Path | str = WEIGHTS) -> list[Trial]:
-    """Read what was tried from ``results_factors.json``, ``results_region.json`` and the card in ``folder``."""
-    factors, region = (
-        json.loads((Path(folder) / f"results_{name}.json").read_text()) for name in ("factors", "region")
+    """Read what was tried from ``results_factors.json``, ``_region``, ``_settings`` and the card in ``folder``."""
+    factors, region, settings = (
+        json.loads((Path(folder) / f"results_{name}.json").read_text()) for name in ("factors", "region", "settings")
     )
     shipped = 2 ** len(from_dict(read_card(folder)["config"]).autoencoder.multipliers)
     found = []
@@ -54,6 +55,12 @@ def trials(folder: Path | str = WEIGHTS) -> list[Trial]:
         price = f"whole frame {1000 * row['whole_m']:.1f} mm"
         chosen = name == "not fine-tuned"
         found.append(Trial("stage one", name, float(row["optical_m"]), chosen, price, region["command"]))
+    for name, row in settings["rows"].items():
+        gain, other = (against_default(settings["rows"], name, key) for key in ("optical", "geometric"))
+        price = f"{'clearly' if gain.clear else 'not clearly'} other; geometric {1000 * other.mean:+.1f} mm"
+        price = f"{np.mean(row['seconds']):.0f} s; {price}" if name != DEFAULT else f"{np.mean(row['seconds']):.0f} s"
+        error = float(errors(row).mean())
+        found.append(Trial("tiny stage two", name, error, name == DEFAULT, price, settings["command"]))
     return found
 
 
