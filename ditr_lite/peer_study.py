@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm.auto import tqdm
 
 from ditr_lite import metrics
 from ditr_lite.baselines import REGISTRY, compose
@@ -108,7 +107,7 @@ def _composed(method) -> Method:
 def run(frames, ditr: Ditr, rows: Mapping[str, Method]) -> dict[str, dict[str, dict[str, float | None]]]:
     """Return frame -> method -> pixel set -> RMSE in metres; stage one runs once a frame and serves all."""
     scores = {}
-    for sample in tqdm(frames, desc="frames", unit="frame"):
+    for sample in frames:
         out = ditr(sample.rgb, sample.depth)
         scores[sample.name] = {}
         for name, method in rows.items():

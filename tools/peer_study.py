@@ -1,20 +1,38 @@
 """Score DITR, its learned peers, its ablation and its oracles on one split, in one run.
 
-python tools/peer_study.py [--split test] [--limit N] [--peers outputs/peers] [--json FILE]
+python tools/peer_study.py [--split test] [--limit N] [--peers outputs/peers] [--workers 2] [--json FILE]
 
 The peers and arms must have been trained: `for arm in regression single_latent_diffusion ... dp ditr; do
 python tools/train_peer.py $arm --minutes M; done`, BB (single_latent_diffusion) and dp also with `--seed 1`.
 """
 
 import argparse
+import multiprocessing
 import shlex
 import sys
 from pathlib import Path
+
+import torch
+from tqdm.auto import tqdm
 
 import ditr_lite as dl
 from ditr_lite import peer_study
 from ditr_lite.files import write_json
 from ditr_lite.store import read_card
+
+STUDY = {}  # of a worker: the system and the methods, built once
+
+
+def begin(peers: Path, threads: int) -> None:
+    """Build what a worker scores frames with."""
+    torch.set_num_threads(threads)
+    ditr = dl.Ditr.from_pretrained()
+    STUDY.update(ditr=ditr, rows=peer_study.methods(ditr, peers))
+
+
+def score(name: str) -> dict:
+    """Score all methods on one frame."""
+    return peer_study.run([dl.load_sample(name)], **STUDY)
 
 
 def main() -> None:
@@ -23,11 +41,14 @@ def main() -> None:
     parser.add_argument("--split", default="test")
     parser.add_argument("--limit", type=int)
     parser.add_argument("--peers", type=Path, default=Path("outputs/peers"))
+    parser.add_argument("--workers", type=int, default=2, help="frames at a time (%(default)s)")
     parser.add_argument("--json", type=Path, default=peer_study.RESULTS)
     args = parser.parse_args()
-    ditr = dl.Ditr.from_pretrained()
-    rows = peer_study.methods(ditr, args.peers)
-    scores = peer_study.run((dl.load_sample(n) for n in dl.list_samples(args.split)[: args.limit]), ditr, rows)
+    names, scores = dl.list_samples(args.split)[: args.limit], {}
+    threads = max(1, torch.get_num_threads() // args.workers)
+    with multiprocessing.get_context("spawn").Pool(args.workers, begin, (args.peers, threads)) as pool:
+        for found in tqdm(pool.imap(score, names), total=len(names), desc="frames", unit="frame"):
+            scores |= found
     report = peer_study.summarise(scores)
     card = read_card(args.peers)["parts"]
     report["trained"] = {
