@@ -7,6 +7,8 @@ import argparse
 import json
 from pathlib import Path
 
+from ditr_lite import peer_study
+
 START, END = "<!-- results: tools/readme_results.py -->", "<!-- end of results -->"
 SETS = ("optical", "optical_valid", "geometric", "outside", "whole")
 
@@ -71,6 +73,35 @@ def real(result: dict) -> str:
     return "\n".join(lines)
 
 
+def peers(result: dict) -> str:
+    """Return the paragraph about learned peers at equal training time, and the trained ablation."""
+    mean, ratio = result["mean"], result["ratio"]
+    minutes = {part["arm"]: 0.0 for part in result["trained"].values()}
+    for part in result["trained"].values():
+        minutes[part["arm"]] += part["minutes"] * (part["seed"] == 0)
+    (scenes,), (each,) = {part["scenes"] for part in result["trained"].values()}, {round(m) for m in minutes.values()}
+    lines = [
+        f"**Learned peers at equal training time.** One small network for one idea of the compared systems each, "
+        f"trained on the same {scenes} scenes for {each} minutes of one core, as were the networks of "
+        f"*{peer_study.EQUAL}*; *{peer_study.SHIPPED}* is the shipped system. {result['frames']} test scenes, "
+        "RMSE in millimetres, composed with the region that stage one predicts (*bare*: the frame as the network paints it).",
+        "",
+        "| method | optical, bare | optical | geometric | whole | optical, DITR at equal time over it |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    for name in (peer_study.SHIPPED, peer_study.EQUAL, *peer_study.IDEAS):
+        cells = [f"{1000 * mean[n]['optical'][0]:.1f}" if n in mean else "–" for n in (f"{name}, bare", name)]
+        cells += [f"{1000 * mean[name][k][0]:.1f}" for k in ("geometric", "whole")]
+        lines.append(f"| {name} | " + " | ".join([*cells, _interval(ratio[name]["optical"], 1, ".2f")]) + " |")
+    lines += ["", peer_study.verdict(result).replace("\n", ".\n") + ".", ""]
+    for step, before in (("+DP", "BB"), ("+RR", "+DP")):
+        changes = [
+            _interval([100 * (v - 1) for v in r[step]["optical"]], 1, "+.0f") for r in result["ablation"].values()
+        ]
+        lines.append(f"{step} after {before}, optical, per training seed: {' and '.join(changes)} %.")
+    return "\n".join([*lines, "", f"Command: `{result['command']}`, after `tools/train_peer.py` for every arm."])
+
+
 def _interval(values: list[float] | None, factor: float, style: str) -> str:
     if values is None:
         return "–"
@@ -91,6 +122,8 @@ def main() -> None:
     frames = args.json.with_name("results_cleargrasp.json")
     if frames.is_file():
         made += "\n\n" + real(json.loads(frames.read_text(encoding="utf-8")))
+    if peer_study.RESULTS.is_file():
+        made += "\n\n" + peers(peer_study.load_results())
     args.readme.write_text(f"{before}{START}\n{made}\n{END}{after}", encoding="utf-8")
 
 
