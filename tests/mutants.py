@@ -165,10 +165,7 @@ AUTOENCODER = [
     *family(
         "quantiser",
         "autoencoder",
-        ("distance: -2 is -1", "alpha=-2)", "alpha=-1)"),
-        ("distance: sign", "alpha=-2)", "alpha=2)"),
-        ("farthest code", "amin(dim=2).argmin(dim=1)", "amax(dim=2).argmax(dim=1)"),
-        ("code not squared", "self.codebook.square().sum(dim=1)", "self.codebook.sum(dim=1)"),
+        ("second nearest code", "numpy())[1]).to", "numpy(), k=[2])[1][:, 0]).to"),
         (
             "average: decay for 1 - decay",
             "self.count.lerp_(hits.to(self.count.dtype), 1 - ",
