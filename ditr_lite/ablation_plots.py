@@ -84,8 +84,12 @@ def worst_scenes(
     for k, (sample, depth, title, region) in enumerate(zip(samples, depths, titles, found, strict=True)):
         block, column = divmod(k, columns)
         rgb(axes[2 * block, column], sample.rgb, {"true": sample.region, "found": region}, title)
-        if k:  # one legend says it for all
-            axes[2 * block, column].get_legend().remove()
+        legend = axes[2 * block, column].get_legend()
+        if k == 0:  # one legend says it for all
+            names = [text.get_text() for text in legend.texts]
+            style = {"loc": "outside lower center", "ncols": 2, "fontsize": FONT - 1, "frameon": False}
+            figure.legend(legend.legend_handles, names, **style)
+        legend.remove()
         inside = np.where(sample.region, sample.depth_gt, 0)  # elsewhere no error is of interest
         drawn = error(axes[2 * block + 1, column], depth, inside, error_mm, bar=False)
         axes[2 * block + 1, column].set_title("")
