@@ -20,13 +20,10 @@ SETTINGS: dict[str, dict[str, str]] = {
     "predicts x0, not what to add": {"unet.anchor": "false"},
     "predicts eps, 10 steps": {"sampler.prediction": "eps", **MANY},
     "predicts v, 10 steps": {"sampler.prediction": "v", **MANY},
-    "linear schedule": {"schedule.name": "linear"},
     "cosine schedule": {"schedule.name": "cosine"},
     "no evidence": {"evidence": "false"},
     "the latent asks": {"unet.query": "latent"},
-    "plain blocks": {"unet.block": "plain"},
     "twice the width": {"unet.width": "16"},
-    "twice the condition": {"unet.cond_channels": "16"},
     "no detail network": {"detail.width": "0"},
 }
 Row = dict[str, Any]
