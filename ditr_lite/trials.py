@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ditr_lite.config import from_dict
+from ditr_lite.config import from_dict, override, preset
+from ditr_lite.costs import costs
 from ditr_lite.setting_study import DEFAULT, against_default, errors
 from ditr_lite.store import WEIGHTS, read_card
 
@@ -57,18 +58,21 @@ def trials(folder: Path | str = WEIGHTS) -> list[Trial]:
         found.append(Trial("stage one", name, float(row["optical_m"]), chosen, price, region["command"]))
     for name, row in settings["rows"].items():
         gain, other = (against_default(settings["rows"], name, key) for key in ("optical", "geometric"))
-        price = f"{'clearly' if gain.clear else 'not clearly'} other; geometric {1000 * other.mean:+.1f} mm"
-        price = f"{np.mean(row['seconds']):.0f} s; {price}" if name != DEFAULT else f"{np.mean(row['seconds']):.0f} s"
+        operations = costs(override(preset("tiny"), **row["settings"]))
+        price = f"{sum(r['gflops'] * r['calls'] for r in operations):.2f} GFLOP a frame"
+        if name != DEFAULT:
+            said = "clearly another optical error" if gain.clear else "not clearly another"
+            price += f"; {said}; geometric {1000 * other.mean:+.1f} mm"
         error = float(errors(row).mean())
-        found.append(Trial("tiny stage two", name, error, name == DEFAULT, price, settings["command"]))
+        found.append(Trial("stage two, tiny", name, error, name == DEFAULT, price, settings["command"]))
     return found
 
 
 def format_trials(found: Sequence[Trial]) -> str:
     """Return the table, and per part whether what was chosen has the lowest optical error."""
-    lines = [f"{'part':12} {'setting':40}{'optical mm':>11}   what else it cost"]
+    lines = [f"{'part':15} {'setting':40}{'optical mm':>11}   what else it cost"]
     for t in found:
-        lines.append(f"{t.part:12} {t.setting:40}{1000 * t.optical_m:11.1f}   {t.price}{' <- chosen' * t.chosen}")
+        lines.append(f"{t.part:15} {t.setting:40}{1000 * t.optical_m:11.1f}   {t.price}{' <- chosen' * t.chosen}")
     lines.append("")
     for part in dict.fromkeys(t.part for t in found):
         rows = [t for t in found if t.part == part]

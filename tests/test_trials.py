@@ -8,7 +8,7 @@ def test_what_was_tried_is_what_the_results_say():
     found = trials.trials()
     region = json.loads((WEIGHTS / "results_region.json").read_text())
     factors = json.loads((WEIGHTS / "results_factors.json").read_text())
-    assert [t.part for t in found if t.chosen] == ["autoencoder", "refinement", "stage one", "tiny stage two"]
+    assert [t.part for t in found if t.chosen] == ["autoencoder", "refinement", "stage one", "stage two, tiny"]
     rows = {(t.part, t.setting): t for t in found}
     assert rows["refinement", region["shipped"]].chosen and rows["autoencoder", "factor 4"].chosen
     assert rows["refinement", "7/5/3"].optical_m == region["refinement"]["7/5/3"]["optical_m"]["mean"][0]
