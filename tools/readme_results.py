@@ -84,7 +84,8 @@ def peers(result: dict) -> str:
         f"**Learned peers at equal training time.** One small network for one idea of the compared systems each, "
         f"trained on the same {scenes} scenes for {each} minutes of one core, as were the networks of "
         f"*{peer_study.EQUAL}*; *{peer_study.SHIPPED}* is the shipped system. {result['frames']} test scenes, "
-        "RMSE in millimetres, composed with the region that stage one predicts (*bare*: as the network paints it).",
+        "RMSE in millimetres, composed with the region that stage one predicts (*bare*: as the network paints it). "
+        "Stage one and the autoencoder are the shipped ones wherever they are used; their training is not counted.",
         "",
         "| method | optical, bare | optical | geometric | whole | optical, DITR at equal time over it |",
         "|---|---:|---:|---:|---:|---:|",
