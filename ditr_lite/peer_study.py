@@ -22,6 +22,7 @@ from ditr_lite.peers import load_peers
 from ditr_lite.pipeline import Ditr, build
 from ditr_lite.store import WEIGHTS, load_part, load_parts, read_card
 from ditr_lite.summaries import bootstrap_mean, paired_bootstrap, ratio_bootstrap
+from ditr_lite.swaps import SWAPS, Swapped
 
 RESULTS = WEIGHTS / "results_peers.json"
 SETS = ("optical", "geometric", "whole")
@@ -72,9 +73,7 @@ def methods(ditr: Ditr, folder: Path | str, seeds: Sequence[int] = (0, 1)) -> di
     Raises:
         ValueError: when something has not been trained.
     """
-    plain = Ditr(build(bare := replace(ditr.config, detail=replace(ditr.config.detail, width=0))), bare)
-    for name in plain.parts:
-        plain.parts[name] = ditr.parts[name]
+    plain = Swapped(ditr, SWAPS["no detail"])
     rows: dict[str, Method] = {
         SHIPPED: lambda s, out: out.depth,
         "true region": lambda s, out: ditr(s.rgb, s.depth, s.region).depth,
