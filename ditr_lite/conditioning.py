@@ -14,6 +14,7 @@ from torch import Tensor
 
 CHANNELS = ("red", "green", "blue", "boundary", "filled", "known", "region", "evidence", "trusted")  # of F(x)'s input
 MIN_SPAN_M = 0.15  # a frame of one flat wall still gets a range to paint in
+RELAXATIONS = 4  # of fill, at every scale
 
 
 @dataclass(frozen=True)
@@ -93,9 +94,11 @@ def fit(source: tuple[int, int], size: tuple[int, int]) -> Frame:
 
 
 def fill(depth_n: Tensor, known: Tensor) -> Tensor:
-    """Fill unknown pixels with averages of known ones, from the nearest coarser scale that has any (push-pull).
+    """Fill unknown pixels with the membrane through the known ones, nearly; dense and cheap.
 
-    Only a start for the encoder, cheap and dense; the branches repaint it.
+    A start for the branches, which repaint it. Each scale holds block means of the known pixels; its filling, enlarged,
+    starts the next finer scale, where every unknown pixel then becomes the mean of its neighbours a few times: a
+    cascadic multigrid for the equation that ``baselines.harmonic`` solves exactly, in a hundredth of its time.
 
     Args:
         depth_n: (B, 1, H, W) normalised depth.
@@ -110,7 +113,12 @@ def fill(depth_n: Tensor, known: Tensor) -> Tensor:
     mean = F.avg_pool2d(depth_n * known, 2, ceil_mode=True, count_include_pad=False) / share.clamp(min=1e-6)
     coarse = fill(mean, (share > 0).to(known.dtype))
     fine = F.interpolate(coarse, size=depth_n.shape[2:], mode="bilinear", align_corners=False)
-    return torch.where(known > 0, depth_n, fine)
+    filled = torch.where(known > 0, depth_n, fine)
+    for _ in range(RELAXATIONS):
+        around = F.pad(filled, [1] * 4, mode="replicate")  # no flow through the image border
+        mean = (around[..., 1:-1, :-2] + around[..., 1:-1, 2:] + around[..., :-2, 1:-1] + around[..., 2:, 1:-1]) / 4
+        filled = torch.where(known > 0, depth_n, mean)
+    return filled
 
 
 def to_tensor(rgb: np.ndarray) -> Tensor:

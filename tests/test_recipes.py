@@ -95,7 +95,7 @@ def test_training_shows_regions_that_are_off_and_sometimes_no_evidence(scenes):
     drawn = [branch_inputs("optical", batch, TINY, np.random.default_rng(k)) for k in range(60)]
     areas = {float(paint.sum()) for _, paint in drawn}
     true = float((batch.material > 0).sum())
-    assert min(areas) < true < max(areas) and len(areas) == 6
+    assert min(areas) < true < max(areas) and len(areas) > 6  # a part missed or something else taken, not only grown
     shown = np.mean([float(image[:, CHANNELS.index("trusted")].sum()) > 0 for (image, _, _), _ in drawn])
     assert 0.65 < shown < 0.95
 
