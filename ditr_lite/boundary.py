@@ -33,6 +33,8 @@ __all__ = [
     "within",
 ]
 
+M_RGB, M_D, M_DA = range(3)  # places in what boundary_maps returns
+
 
 class Backend(Protocol):
     """Whatever finds boundaries: one call, for colour and for depth."""

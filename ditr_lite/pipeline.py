@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from ditr_lite.autoencoder import VQAutoencoder
-from ditr_lite.boundary import boundary_maps, get_backend
+from ditr_lite.boundary import M_DA, M_RGB, boundary_maps, get_backend
 from ditr_lite.completion import Completion, check_inputs, compose, expected_error
 from ditr_lite.conditioning import CHANNELS, Bounds, condition, depth_bounds, fit, to_tensor
 from ditr_lite.config import Config
@@ -22,6 +22,7 @@ from ditr_lite.store import load_parts
 from ditr_lite.unet import DenoisingUNet
 
 BRANCHES = ("optical", "geometric")
+GUIDES: dict[str, int | None] = {"optical": M_DA, "geometric": M_RGB}  # Sec. IV-C; None would be an empty map
 
 
 def build(config: Config) -> nn.ModuleDict:
@@ -61,6 +62,7 @@ class Ditr:
         self.parts = parts.to(self.device, memory_format=torch.channels_last).eval().requires_grad_(False)
         self.schedule = make_schedule(config.schedule)
         self.backend = get_backend(boundary, boundary_path)
+        self.painters, self.guides = BRANCHES, GUIDES  # who paints region and holes, and by which boundary map
 
     @classmethod
     def from_pretrained(
@@ -113,8 +115,7 @@ class Ditr:
         steps = self.config.sampler.steps if steps is None else steps
         samples = self.config.sampler.samples if samples is None else samples
         rgb, depth = check_inputs(rgb, depth, region, samples)
-        frame = fit(depth.shape, self.config.size)
-        bounds = depth_bounds(depth)
+        frame, bounds = fit(depth.shape, self.config.size), depth_bounds(depth)
         small_rgb, small = frame.into(rgb), frame.into(depth)
         probability = None
         if region is None:
@@ -182,16 +183,15 @@ class Ditr:
         """
         depth_n, valid = _maps(depth, bounds)
         image, mask = to_tensor(rgb[None]), torch.from_numpy(region)[None, None].float()
-        guides = {"optical": maps[2], "geometric": maps[0]}  # M_DA guides the optical branch, M_RGB the geometric one
+        edges = [torch.from_numpy(m)[None, None].float() for m in maps]
         decoded = []
-        for i, branch in enumerate(BRANCHES):
-            guide = torch.from_numpy(guides[branch])[None, None].float()
-            evidence = self.config.evidence and branch == "optical"
-            given = condition(image, depth_n, valid, mask, guide, evidence)
-            generator = torch.Generator().manual_seed(2 * seed + i)
+        for branch in self.painters:
+            guide = torch.zeros_like(mask) if self.guides[branch] is None else edges[self.guides[branch]]
+            given = condition(image, depth_n, valid, mask, guide, self.config.evidence and branch == "optical")
+            generator = torch.Generator().manual_seed(2 * seed + BRANCHES.index(branch))
             decoded.append(self.decode(self.denoise(branch, *given, steps, samples, generator)))
         if "detail" in self.parts:
-            decoded = self.sharpen(decoded, image, depth_n, valid, mask, torch.from_numpy(maps[0])[None, None].float())
+            decoded = self.sharpen(decoded, image, depth_n, valid, mask, edges[M_RGB])
         # metric depth is positive, whatever a network says; sparse readings may all be lost on the way to this size
         low = 0.25 * float(depth.min(where=depth > 0, initial=bounds.high))
         return tuple(np.maximum(bounds.denormalise(d[:, 0].cpu().numpy()), low).astype(np.float32) for d in decoded)

@@ -10,18 +10,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import torch
+from torch import nn
 from tqdm.auto import tqdm
 
 from ditr_lite import metrics
-from ditr_lite.conditioning import Bounds, condition, to_tensor
+from ditr_lite.boundary import M_DA, M_RGB
 from ditr_lite.config import RefineConfig
 from ditr_lite.data import Sample
-from ditr_lite.pipeline import BRANCHES, Ditr, _maps
+from ditr_lite.pipeline import BRANCHES, Ditr
 from ditr_lite.summaries import bootstrap_mean, paired_bootstrap
 from ditr_lite.tables import T1, T5
 
-M_RGB, M_D, M_DA = range(3)  # places in what boundary.boundary_maps returns
 SCORED = ("optical", "geometric", "outside", "whole")
 PARTS = ("geometric", "optical", "whole")  # Table V's two, and Table I's
 TABLE_V = ("rmse", "mae", "rel")
@@ -86,7 +85,12 @@ class Swapped(Ditr):
     def __init__(self, ditr: Ditr, swap: Swap):
         self.__dict__.update(vars(ditr))
         self.swap = swap
-        self.config = replace(ditr.config, refine=swap.refine or ditr.config.refine)
+        evidence = ditr.config.evidence and swap.evidence
+        self.config = replace(ditr.config, refine=swap.refine or ditr.config.refine, evidence=evidence)
+        self.guides = dict(zip(BRANCHES, swap.guides, strict=True))
+        self.painters = (swap.only,) * 2 if swap.only else ditr.painters
+        if not swap.detail:
+            self.parts = nn.ModuleDict({name: part for name, part in ditr.parts.items() if name != "detail"})
 
     def complete(self, sample: Sample, samples: int | None = None, seed: int = 0) -> np.ndarray:
         """Return the completed depth (H, W) in metres; ``samples`` and ``seed`` as for :class:`Ditr`.
@@ -98,36 +102,6 @@ class Swapped(Ditr):
             raise ValueError(f"{sample.name} has no true region to give; choose a swap whose region is found")
         region = {"found": None, "true": sample.region, "empty": np.zeros(sample.depth.shape, bool)}[self.swap.region]
         return self(sample.rgb, sample.depth, region, samples=samples, seed=seed).depth
-
-    def inpaint(
-        self,
-        rgb: np.ndarray,
-        depth: np.ndarray,
-        region: np.ndarray,
-        maps: tuple[np.ndarray, np.ndarray, np.ndarray],
-        bounds: Bounds,
-        steps: int,
-        samples: int,
-        seed: int,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Run stage two as :meth:`Ditr.inpaint` does, with the swap; the default swap returns the same bits."""
-        swap, (depth_n, valid) = self.swap, _maps(depth, bounds)
-        image, mask = to_tensor(rgb[None]), torch.from_numpy(region)[None, None].float()
-        as_tensor = [torch.from_numpy(m)[None, None].float() for m in maps]
-        decoded = {}
-        for i, branch in enumerate(BRANCHES):
-            if swap.only not in (None, branch):
-                continue
-            guide = torch.zeros_like(mask) if swap.guides[i] is None else as_tensor[swap.guides[i]]
-            evidence = self.config.evidence and swap.evidence and branch == "optical"
-            given = condition(image, depth_n, valid, mask, guide, evidence)
-            generator = torch.Generator().manual_seed(2 * seed + i)
-            decoded[branch] = self.decode(self.denoise(branch, *given, steps, samples, generator))
-        both = [decoded[swap.only or branch] for branch in BRANCHES]
-        if swap.detail and "detail" in self.parts:
-            both = self.sharpen(both, image, depth_n, valid, mask, as_tensor[M_RGB])
-        low = 0.25 * float(depth.min(where=depth > 0, initial=bounds.high))
-        return tuple(np.maximum(bounds.denormalise(d[:, 0].cpu().numpy()), low).astype(np.float32) for d in both)
 
 
 def run(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite import metrics, pipeline, swaps
+from ditr_lite import boundary, metrics, pipeline, swaps
 from ditr_lite.config import RefineConfig, preset
 from ditr_lite.data import Sample
 from ditr_lite.swaps import SWAPS, Swap, Swapped
@@ -64,7 +64,7 @@ def test_guides_go_where_the_swap_sends_them(monkeypatch, tiny, frame):
     out = tiny(frame.rgb, frame.depth, frame.region, samples=1)
     maps = (out.boundary_rgb, out.boundary_depth, out.boundary_da)
     assert not np.array_equal(maps[0], maps[2])
-    for guides in ((swaps.M_DA, swaps.M_RGB), (swaps.M_RGB, swaps.M_DA), (None, swaps.M_D)):
+    for guides in ((boundary.M_DA, boundary.M_RGB), (boundary.M_RGB, boundary.M_DA), (None, boundary.M_D)):
         seen = given_to(monkeypatch, tiny, frame, Swap("", guides, region="true"))
         for branch, k in zip(pipeline.BRANCHES, guides, strict=True):
             np.testing.assert_array_equal(seen[branch][3] > 0, np.zeros(SHAPE, bool) if k is None else maps[k])
