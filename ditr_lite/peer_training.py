@@ -221,7 +221,7 @@ def single_step(
         features = net.features(image.contiguous(memory_format=torch.channels_last))
         out = net(diffusion.q_sample(x0, t, eps, schedule), t, features, masked, known)
         mask = F.avg_pool2d(batch.gt_known, 4)
-        weight = recipes.by_metres(batch)
+        weight = recipes.by_metres(batch) if config.loss_in_metres else None
         return {"total": diffusion.loss(out, x0, eps, t, schedule, config.sampler.prediction, weight, mask)}
 
     return step_loss

@@ -126,7 +126,7 @@ def branch_step(
         x_t = diffusion.q_sample(x0, t, eps, schedule)
         out = model(x_t, t, model.features(_cl(image)), masked, known)
         mask = F.avg_pool2d(paint * batch.gt_known, 4) + 0.05
-        weight = by_metres(batch)
+        weight = by_metres(batch) if config.loss_in_metres else None
         return {"total": diffusion.loss(out, x0, eps, t, schedule, config.sampler.prediction, weight, mask)}
 
     return step_loss
