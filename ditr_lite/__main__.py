@@ -148,6 +148,7 @@ def _train(p: Parser) -> None:
     p.add_argument("--val", type=Path, default=Path("data_samples/val"), help="scenes to validate on (%(default)s)")
     p.add_argument("--out", type=Path, help="weights folder (default: the shipped one for plain lite, else in outputs)")
     p.add_argument("--work", type=Path, help="folder for checkpoints and logs (default outputs/training)")
+    p.add_argument("--start", type=Path, help="weights folder to go on from (default: afresh), e.g. the shipped one")
     p.add_argument("--steps", type=int, help="steps instead of the recipe's")
     p.add_argument("--batch", type=int, help="frames a step instead of the recipe's")
     p.add_argument("--lr", type=float, help="peak learning rate instead of the recipe's")

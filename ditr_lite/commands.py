@@ -146,7 +146,7 @@ def train(args: Namespace) -> None:
     for part in fitting.PARTS if args.part == "all" else [args.part]:
         recipe = replace(RECIPES[part], **changes)
         notes = fitting.train(
-            part, config, args.data, args.val, out, work, recipe, args.limit, args.seed, args.boundary
+            part, config, args.data, args.val, out, work, recipe, args.limit, args.seed, args.boundary, args.start
         )
         last = {k: v for k, v in (notes["curve"] or [{}])[-1].items() if k.startswith("val_")}
         figures = ", ".join(f"{k.removeprefix('val_')} {v:.4f}" for k, v in last.items())
@@ -159,6 +159,8 @@ def experiment(args: Namespace, settings: dict[str, str], changes: dict[str, flo
 
     from ditr_lite.experiment import QUICK, compare, format_comparison
 
+    if args.start:
+        raise ValueError("a comparison trains both systems afresh: leave --start out, or train one --part with it")
     recipes = {part: replace(recipe, **changes) for part, recipe in QUICK.items()}
     where = {"data": args.data, "val": args.val, "out": args.out, "work": args.work}
     result = compare(settings, **where, recipes=recipes, limit=args.limit, seed=args.seed, boundary=args.boundary)

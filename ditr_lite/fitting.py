@@ -34,6 +34,7 @@ def train(
     limit: int | None = None,
     seed: int = 0,
     boundary: str = "classical",
+    start: Path | str | None = None,
 ) -> dict[str, Any]:
     """Train ``part`` and write its weights and its entry in the card.
 
@@ -48,6 +49,7 @@ def train(
         limit: use only the first scenes.
         seed: of everything random.
         boundary: backend of the guides.
+        start: weights folder to go on from, such as the shipped one for frames of your own; None begins afresh.
 
     Returns:
         the entry of the card: command, recipe, scenes, seconds, curve.
@@ -67,7 +69,7 @@ def train(
         load_scenes(folder, n, boundary if guided else None, cache / f"{Path(folder).name}-{boundary}.npz")
         for folder, n in ((data, limit), (val, None))
     )
-    return train_on(part, config, scenes, held_out, out, work, recipe, seed)
+    return train_on(part, config, scenes, held_out, out, work, recipe, seed, start)
 
 
 def train_on(
@@ -79,6 +81,7 @@ def train_on(
     work: Path | str,
     recipe: Recipe,
     seed: int = 0,
+    start: Path | str | None = None,
     **remarks: Any,
 ) -> dict[str, Any]:
     """Do what :func:`train` does with scenes that are in memory already.
@@ -92,6 +95,7 @@ def train_on(
         work: folder for checkpoints.
         recipe: steps, batch, rate.
         seed: of everything random.
+        start: weights folder to go on from, or None.
         remarks: what else to enter into the card.
     """
     torch.manual_seed(seed)
@@ -99,6 +103,10 @@ def train_on(
     for name in {"optical": ["autoencoder"], "geometric": ["autoencoder"], "detail": list(PARTS[:4])}.get(part, []):
         parts[name].load_state_dict(load_part(name, out))
         parts[name].eval().requires_grad_(False)
+    if start is not None:
+        _check_same_networks(config, Path(start))
+        parts[part].load_state_dict(load_part(part, start))
+        remarks["start_sha256"] = read_card(start)["parts"][part]["sha256"]
     model = parts[part].to(memory_format=torch.channels_last)
     step, validate = _assemble(part, parts, scenes, held_out, config, recipe, seed)
     notes = fit(part, model, step, recipe, work, validate, seed=seed)

@@ -74,6 +74,18 @@ def test_limit_takes_the_first_scenes(data, tmp_path):
     assert notes["scenes"] == 2 and notes["last_scene"] == "val_00001"
 
 
+def test_training_goes_on_from_given_weights(trained, data, tmp_path):
+    home, notes = trained
+    still = Recipe(steps=1, batch=2, lr=0.0)
+    entry = train("region", TINY, data, data, tmp_path / "out", tmp_path, still, start=home / "weights")
+    assert entry["start_sha256"] == read_card(home / "weights")["parts"]["region"]["sha256"]
+    then, now = (load_part("region", folder) for folder in (home / "weights", tmp_path / "out"))
+    learnt = [k for k in then if "running" not in k and "num_batches" not in k]
+    assert all(torch.equal(then[k], now[k]) for k in learnt)
+    with pytest.raises(ValueError, match="another region setting"):
+        go("region", data, tmp_path, override(TINY, **{"region.width": 16}), start=home / "weights")
+
+
 def test_what_cannot_be_trained_is_refused(trained, data, tmp_path):
     home, _ = trained
     with pytest.raises(ValueError, match="unknown part 'unet'; choose one of autoencoder"):
