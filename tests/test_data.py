@@ -156,3 +156,34 @@ def test_a_resized_camera_sees_the_same_rays():
     assert np.isclose((479.5 - camera.cy) / camera.fy, (239.5 - half.cy) / half.fy)
     back = half.resized(640, 480)
     assert np.allclose([back.cx, back.cy, back.fx], [camera.cx, camera.cy, camera.fx])
+
+
+def test_the_deepest_pixel_is_of_the_largest_piece_not_of_the_thickest():
+    region = np.zeros((40, 60), bool)
+    region[5:16, 5:16] = True  # 121 pixels, 6 deep in the middle
+    region[22:29, 20:50] = True  # 210 pixels, 4 deep: larger, though thinner
+    row, column = data.deepest_pixel(region)
+    assert row == 25 and 23 <= column <= 46
+    assert all(type(k) is int for k in (row, column))
+    region[16:22, 16] = True  # a bridge that touches both at corners only makes them one piece
+    region[21, 17:20] = True
+    assert data.deepest_pixel(region) == (10, 10)
+    with pytest.raises(ValueError, match="empty"):
+        data.deepest_pixel(np.zeros((4, 4), bool))
+
+
+def test_the_followed_scene_has_the_largest_region_of_the_first_twelve_test_scenes(tmp_path):
+    region = np.zeros((24, 32), np.uint8)
+    for k in range(14):
+        material = region.copy()
+        size = 20 if k == 13 else 3 + k % 8  # the last is larger still, but not among the first twelve
+        material[2 : 2 + size, 4 : 4 + size] = 1
+        sample = replace(make_sample(f"test_{k:05d}"), material=material)
+        data.save_sample(sample, tmp_path / "test" / sample.name)
+    scene, at = data.followed(tmp_path)
+    assert scene.name == "test_00007" and at == data.deepest_pixel(scene.region) and scene.region[at]
+
+
+def test_the_shipped_followed_pixel():
+    scene, at = data.followed()
+    assert (scene.name, at) == ("test_00003", (147, 221)) and scene.depth[at] == 0  # a golden value beside the rule
