@@ -19,6 +19,7 @@ import OpenEXR
 from .data import clean_depth, depth_to_png
 
 EXR_MAGIC = b"\x76\x2f\x31\x01"
+NO_READING = 65535  # the largest 16-bit number, which some recorders store for "nothing read", whatever their unit
 MASK_LEVEL = 100  # of 255: masks drawn with soft edges, as ClearGrasp's, are cut here
 
 
@@ -71,7 +72,7 @@ def read_rgb(path: Path | str) -> np.ndarray:
 
 
 def read_depth(path: Path | str, depth_scale: float = 0.001, allow_empty: bool = False) -> np.ndarray:
-    """Read a depth map; NaN, infinite, negative and absurd readings become 0 (missing).
+    """Read a depth map; NaN, infinite, negative and absurd readings, and integers 65535, become 0 (missing).
 
     Args:
         path: 16-bit PNG or integer .npy (both times ``depth_scale``), float .npy or .exr (metres).
@@ -96,7 +97,8 @@ def read_depth(path: Path | str, depth_scale: float = 0.001, allow_empty: bool =
             f"{path} has 8 bits a pixel: expected a 16-bit depth PNG (millimetres unless depth_scale says else)"
         )
     if raw.dtype.kind in "ui":
-        raw = raw.astype(np.float64) * depth_scale
+        # before the scale: at 0.25 mm a unit 65535 would be a believable 16.4 m
+        raw = np.where(raw == NO_READING, 0.0, raw.astype(np.float64) * depth_scale)
     elif raw.dtype.kind != "f":
         raise ValueError(f"{path} should hold integers or floats, got {raw.dtype}")
     depth = clean_depth(raw)

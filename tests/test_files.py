@@ -56,6 +56,17 @@ def test_bad_readings_become_missing(tmp_path):
     np.testing.assert_array_equal(files.read_depth(tmp_path / "d.exr"), np.array([[0.5, 0], [0, 0]], np.float32))
 
 
+@pytest.mark.parametrize("scale", [0.0001, 0.00025, 0.001])
+def test_65535_is_no_reading_whatever_the_unit(tmp_path, scale):
+    units = np.array([[0, 65535, 4000], [65534, 1, 65535]], np.uint16)
+    png = save_image(tmp_path / "d.png", units)
+    np.save(tmp_path / "wide.npy", units.astype(np.int32))
+    for path in (png, tmp_path / "wide.npy"):
+        depth = files.read_depth(path, scale)
+        assert not depth[units == 65535].any() and depth[0, 2] == np.float32(4000 * scale)
+        assert (depth[1, 0] > 0) == (65534 * scale < 65)  # the number beside it is a distance like any other
+
+
 def test_exr_channels(tmp_path):
     half = np.array([[0.5, np.nan, 0.25]], np.float16)
     grey = save_exr(tmp_path / "grey.exr", R=half, G=half, B=half)
