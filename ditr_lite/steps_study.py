@@ -17,6 +17,14 @@ from ditr_lite.summaries import bootstrap_mean, paired_bootstrap
 SETS = ("optical", "geometric")
 # steps -> (frames, members drawn for each): many steps are dear, so fewer frames are asked; rows say how many
 PLAN = {1: (8, 8), 2: (8, 8), 4: (8, 8), 10: (8, 8), 50: (4, 8), 250: (3, 4), 1000: (2, 2)}
+MEASURES = {  # of a frame's members -> what it is called
+    "single": "RMSE of a draw",
+    "mean": "RMSE of their mean",
+    "crps": "CRPS",
+    "spread": "spread",
+    "flying_single": "flying in a draw",
+    "flying_mean": "flying in their mean",
+}
 
 
 def score_members(members: Sequence[np.ndarray], sample: Sample) -> dict[str, Any]:
@@ -75,20 +83,84 @@ def run_plan(
     return rows
 
 
-def format_steps(rows: Mapping[str, Sequence[Mapping[str, Any]]], key: str = "optical") -> str:
-    """Return the table of a pixel set: a row for each number of steps, millimetres and percent.
+def against_one(
+    rows: Mapping[str, Sequence[Mapping[str, Any]]], steps: str, key: str
+) -> dict[str, tuple[float, float, float] | None]:
+    """Return what more steps change: measure of :data:`MEASURES` -> (mean, low, high) minus the fewest steps.
 
-    The last column pairs frames: RMSE of a single member minus that of one-step members, of the frames that both have.
+    Both sides are of the same frames and the same number of members, which the rows of :data:`PLAN` are not.
+    Metres, flying pixels in percentage points; None where no frame has such pixels.
     """
-    heads = ("single", "mean of all", "CRPS", "spread", "flying 1", "flying mean")
-    lines = ["steps frames" + "".join(h.rjust(13) for h in heads) + "   single, minus one step"]
-    first = [r["single"].get(key) for r in next(iter(rows.values()))]
-    for steps, frames in rows.items():
-        most = str(max(map(int, frames[0]["mean"])))
-        columns = [[r["single"].get(key) for r in frames], [r["mean"][most].get(key) for r in frames]]
-        columns += [[r[name].get(key) for r in frames] for name in ("crps", "spread")]
-        cells = [f"{1000 * bootstrap_mean(c)[0]:13.1f}" for c in columns]
-        cells += [f"{bootstrap_mean([r[name] for r in frames])[0]:12.1f}%" for name in ("flying_single", "flying_mean")]
-        gain = [1000 * v for v in paired_bootstrap(columns[0], first[: len(frames)])]
-        lines.append(f"{steps:>5} {len(frames):6}" + "".join(cells) + "   {:+.1f} [{:+.1f}, {:+.1f}]".format(*gain))
+    first, more = next(iter(rows.values())), rows[steps]
+    count = max(map(int, more[0]["mean"]))
+    out = {}
+    for name in MEASURES:
+        sides = [[_value(row, name, key, count) for row in side] for side in (more, first[: len(more)])]
+        paired = [(a, b) for a, b in zip(*sides, strict=True) if a is not None and b is not None]
+        out[name] = paired_bootstrap(*zip(*paired, strict=True)) if paired else None
+    return out
+
+
+def format_steps(rows: Mapping[str, Sequence[Mapping[str, Any]]], key: str = "optical") -> str:
+    """Return the table of a pixel set in mm: the fewest steps, then what each number of steps changes on its frames."""
+    start, first = next(iter(rows.items()))
+    count = max(map(int, first[0]["mean"]))
+    names = [name for name in MEASURES if not name.startswith("flying")]
+    levels = {n: 1000 * bootstrap_mean([_value(row, n, key, count) for row in first])[0] for n in names}
+    lines = [f"{key}, {start} step{'s' * (start != '1')}, {len(first)} frames, {count} draws: "]
+    lines[0] += ", ".join(f"{MEASURES[n]} {mm:.1f} mm" for n, mm in levels.items())
+    lines.append("minus that, same frames" + "".join(MEASURES[n].rjust(23) for n in names))
+    for steps, frames in list(rows.items())[1:]:
+        gaps = against_one(rows, steps, key)
+        lines.append(f"{steps:>5} steps, {len(frames)} frames".ljust(23) + "".join(_cell(gaps[n], 1000) for n in names))
     return "\n".join(lines)
+
+
+def format_flying(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
+    """Return the share of flying pixels at the region's depth edges, in %, and what each number of steps changes."""
+    start, first = next(iter(rows.items()))
+    names = [name for name in MEASURES if name.startswith("flying")]
+    levels = [f"{MEASURES[n]} {bootstrap_mean([row[n] for row in first])[0]:.1f} %" for n in names]
+    lines = [f"pixels at depth edges, {start} step{'s' * (start != '1')}: " + ", ".join(levels)]
+    lines.append("minus that, points     " + "".join(MEASURES[n].rjust(23) for n in names))
+    for steps, frames in list(rows.items())[1:]:
+        gaps = against_one(rows, steps, "optical")
+        lines.append(f"{steps:>5} steps, {len(frames)} frames".ljust(23) + "".join(_cell(gaps[n], 1) for n in names))
+    return "\n".join(lines)
+
+
+def verdicts(rows: Mapping[str, Sequence[Mapping[str, Any]]], key: str = "optical") -> str:
+    """Say whether more steps buy what they promise: less CRPS, fewer flying pixels, draws that differ as they err.
+
+    Of the numbers of steps that saw all frames, the largest is set beside the smallest.
+    """
+    start, first = next(iter(rows.items()))
+    steps = [s for s, frames in rows.items() if len(frames) == len(first)][-1]
+    gaps, count = against_one(rows, steps, key), max(map(int, rows[steps][0]["mean"]))
+    lines = [f"{steps} steps against {start}, {key}, {len(first)} frames:"]
+    for name, says in MEASURES.items():
+        gap = gaps[name]
+        if name == "spread" or gap is None:
+            continue
+        said = "worse" if gap[1] > 0 else "better" if gap[2] < 0 else "no measurable difference"
+        unit, factor = ("points", 1) if name.startswith("flying") else ("mm", 1000)
+        lines.append(f"  {says:22} {said} ({_cell(gap, factor).strip()} {unit})")
+    spread, error = (
+        1000 * bootstrap_mean([_value(r, n, key, count) for r in rows[steps]])[0] for n in ("spread", "mean")
+    )
+    fits = "about right" if 0.8 < error / spread < 1.25 else "too small" if error > spread else "too large"
+    lines.append(f"  spread of the draws    {spread:.1f} mm, error of their mean {error:.1f} mm: the spread is {fits}")
+    return "\n".join(lines)
+
+
+def _value(row: Mapping[str, Any], name: str, key: str, count: int) -> float | None:
+    """Return one measure of one frame; ``mean`` is that of ``count`` members."""
+    if name.startswith("flying"):
+        return row[name]
+    return (row["mean"][str(count)] if name == "mean" else row[name]).get(key)
+
+
+def _cell(interval: Sequence[float] | None, factor: float) -> str:
+    if interval is None:
+        return "-".rjust(23)
+    return "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(factor * v for v in interval)).rjust(23)

@@ -31,4 +31,29 @@ def test_a_plan_is_followed_saved_and_shown(sample):
     rows = study.run_plan(noisy, [sample, sample], {1: (2, 2), 10: (1, 1)}, lambda r: saved.append(list(r)))
     assert saved == [["1"], ["1", "10"]] and [len(r) for r in rows.values()] == [2, 1]
     table = study.format_steps(json.loads(json.dumps(rows)), "geometric")
-    assert table.splitlines()[1].split()[:2] == ["1", "2"] and "+0.0 [+0.0, +0.0]" in table
+    assert table.startswith("geometric, 1 step, 2 frames, 2 draws") and "   10 steps, 1 frames" in table
+    assert study.format_flying(rows).count("\n") == 2
+
+
+def row(error, spread=0.01, flying=20.0, count=4):
+    mean = {str(2**k): {"optical": error - 0.001 * k} for k in range(count.bit_length()) if 2**k <= count}
+    parts = {"single": {"optical": error}, "mean": mean, "crps": {"optical": error / 2}, "spread": {"optical": spread}}
+    return parts | {"flying_single": flying, "flying_mean": flying}
+
+
+def test_more_steps_are_compared_on_their_own_frames_and_members():
+    rows = {"1": [row(0.02), row(0.06)], "10": [row(0.03), row(0.07)], "1000": [row(0.03, count=1)]}
+    gaps = study.against_one(rows, "1000", "optical")  # one frame, one member: 30 - 20 mm, whatever the other frame
+    assert gaps["single"] == pytest.approx((0.01,) * 3) and gaps["mean"] == pytest.approx((0.01,) * 3)
+    assert study.against_one(rows, "10", "geometric")["single"] is None
+    lines = study.format_steps(rows).splitlines()
+    assert "RMSE of a draw 40.0 mm, RMSE of their mean 38.0 mm" in lines[0] and lines[3].count("[+10.0, +10.0]") == 2
+
+
+@pytest.mark.parametrize(("flying", "said"), [(25.0, "worse (+5.0"), (15.0, "better (-5.0"), (20.0, "no measurable")])
+def test_the_verdict_is_of_the_most_steps_that_all_frames_saw(flying, said):
+    rows = {"1": [row(0.02)] * 2, "10": [row(0.03, 0.027, flying)] * 2, "1000": [row(0.09)]}
+    text = study.verdicts(rows)
+    assert text.startswith("10 steps against 1") and f"flying in a draw       {said}" in text
+    assert "RMSE of a draw         worse (+10.0" in text and "the spread is about right" in text
+    assert "too small" in study.verdicts({"1": rows["1"], "2": [row(0.05, 0.001)] * 2})

@@ -40,7 +40,8 @@ def main() -> None:
 
     rows = steps_study.run_plan(draw, samples, save=save)
     for key in steps_study.SETS:
-        print(key, steps_study.format_steps(rows, key), sep="\n", end="\n\n")
+        print(steps_study.format_steps(rows, key), end="\n\n")
+    print(steps_study.format_flying(rows), steps_study.verdicts(rows), sep="\n\n")
 
 
 if __name__ == "__main__":
