@@ -4,9 +4,9 @@ Winners alone would hide what they cost and how near the others came. Paper: no 
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from ditr_lite.config import from_dict, override, preset
 from ditr_lite.costs import costs
 from ditr_lite.setting_study import DEFAULT, against_default, errors
 from ditr_lite.store import WEIGHTS, read_card
+from ditr_lite.summaries import paired_bootstrap
 
 
 class Trial(NamedTuple):
@@ -61,7 +62,7 @@ def trials(folder: Path | str = WEIGHTS) -> list[Trial]:
         operations = costs(override(preset("tiny"), **row["settings"]))
         price = f"{sum(r['gflops'] * r['calls'] for r in operations):.2f} GFLOP a frame"
         if name != DEFAULT:
-            said = "clearly another optical error" if gain.clear else "not clearly another"
+            said = "optical error clearly different" if gain.clear else "not clearly different"
             price += f"; {said}; geometric {1000 * other.mean:+.1f} mm"
         error = float(errors(row).mean())
         found.append(Trial("stage two, tiny", name, error, name == DEFAULT, price, settings["command"]))
@@ -80,3 +81,45 @@ def format_trials(found: Sequence[Trial]) -> str:
         said = "which also has the lowest error" if best is chosen else f"though {best.setting} has the lowest error"
         lines.append(f"{part}: chosen {chosen.setting}, {said} ({chosen.command})")
     return "\n".join(lines)
+
+
+def format_refinement(report: Mapping[str, Any]) -> str:
+    """Return what each refinement changes against the gentlest, scene by scene, and what a rule would choose.
+
+    The rule: of the settings whose optical error is not measurably above the lowest, the one that costs the whole frame
+    least. It says when a smaller gain inside the region is not worth a larger loss outside.
+
+    Args:
+        report: ``results_region.json`` as ``tools/region_study.py`` wrote it.
+    """
+    rows, shipped = report["refinement"], report["shipped"]
+    mean = {key: {n: row[key]["mean"][0] for n, row in rows.items()} for key in ("optical_m", "whole_m")}
+    gentlest, lowest = next(iter(rows)), min(mean["optical_m"], key=mean["optical_m"].get)
+    lines = [
+        f"minus {gentlest}, mm".ljust(16)
+        + "optical".rjust(22)
+        + "whole".rjust(22)
+        + f"optical minus {lowest}".rjust(26)
+    ]
+    good = []
+    for name in rows:
+        gaps = [paired(rows, name, gentlest, key) for key in mean] + [paired(rows, name, lowest, "optical_m")]
+        lines.append(name.ljust(16) + "".join(f"{_gap(g):>{w}}" for g, w in zip(gaps, (22, 22, 26), strict=True)))
+        if gaps[2][1] <= 0:
+            good.append(name)
+    choice = min(good, key=mean["whole_m"].get)
+    lines.append(f"not measurably above the lowest optical error ({lowest}): {', '.join(good)}")
+    lines.append(
+        f"of these {choice} costs the whole frame least, "
+        + ("as shipped" if choice == shipped else f"but {shipped} is shipped")
+    )
+    return "\n".join(lines)
+
+
+def paired(rows: Mapping[str, Any], a: str, b: str, key: str) -> tuple[float, float, float]:
+    """Return the paired difference of two rows of a study with its interval over scenes, in metres."""
+    return paired_bootstrap(rows[a][key]["scenes"], rows[b][key]["scenes"])
+
+
+def _gap(interval: Sequence[float]) -> str:
+    return "{:+.2f} [{:+.2f}, {:+.2f}]".format(*(1000 * v for v in interval))

@@ -1,5 +1,7 @@
 import json
 
+import pytest
+
 from ditr_lite import trials
 from ditr_lite.store import WEIGHTS
 
@@ -29,3 +31,23 @@ def test_the_table_says_when_the_choice_is_not_the_lowest():
     assert "kernel: chosen small, though large has the lowest error (python a)" in text
     assert "depth: chosen two, which also has the lowest error (python b)" in text
     assert text.count("<- chosen") == 2 and "39.0   dear" in text
+
+
+def scored(optical, whole):
+    return {k: {"mean": [sum(v) / len(v)] * 3, "scenes": v} for k, v in (("optical_m", optical), ("whole_m", whole))}
+
+
+def test_the_rule_takes_the_cheapest_of_those_not_measurably_above_the_lowest():
+    study = {
+        "refinement": {
+            "0/0/0": scored([0.040, 0.041, 0.042, 0.043], [0.010] * 4),
+            "3/3/1": scored([0.030, 0.033, 0.030, 0.033], [0.011] * 4),
+            "3/3/3": scored([0.031, 0.030, 0.032, 0.031], [0.012] * 4),
+        },
+        "shipped": "3/3/1",
+    }
+    text = trials.format_refinement(study)
+    assert "(3/3/3): 3/3/1, 3/3/3" in text and text.endswith("of these 3/3/1 costs the whole frame least, as shipped")
+    assert trials.format_refinement(study | {"shipped": "0/0/0"}).endswith("but 0/0/0 is shipped")
+    assert trials.paired(study["refinement"], "3/3/1", "0/0/0", "whole_m") == pytest.approx((0.001,) * 3)
+    assert "+1.00 [+1.00, +1.00]" in text  # the whole frame of 3/3/1, minus 0/0/0
