@@ -109,7 +109,8 @@ def optical_weight() -> str:
     return (
         f"DFNet: {100 * min(values):.0f} to {100 * max(values):.0f} % of the weight on optical pixels "
         f"({100 * min(low):.0f} to {100 * max(high):.0f} % with rounding), if T5's columns are RMSE, REL, MAE; "
-        f"they are {100 * row['optical']['n'] / row['whole']['n']:.0f} % of our test frames, 3 to 13 % of real ones"
+        f"they are {100 * row['optical']['n'] / row['whole']['n']:.0f} % of our test frames, 3 and 13 % "
+        "of the two real frames of our data card"
     )
 
 

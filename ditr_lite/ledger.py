@@ -45,7 +45,7 @@ _ROWS = [
         "04_ddpm_math",
     ),
     (
-        "I4, Eq. 2",
+        "Sec. IV-C, Eq. 2",
         "M_DA = M_RGB ∖ ∁M_D; disjoint: {φ}",
         findings.intersection,
         "misprint",
@@ -61,7 +61,7 @@ _ROWS = [
         "07_metrics",
     ),
     (
-        "I2",
+        "Sec. V-B",
         "δ counts pixels whose relative loss is below n %",
         findings.bands,
         "no",
@@ -69,7 +69,7 @@ _ROWS = [
         "07_metrics",
     ),
     (
-        "T1, T2, T5",
+        "Tables I, II, V",
         "RMSE and MAE stand side by side",
         findings.impossible,
         "no",
@@ -77,10 +77,10 @@ _ROWS = [
         "07_metrics",
     ),
     (
-        "T1",
+        "Table I",
         "scores are 'overall'",
         findings.optical_weight,
-        "no",
+        "not said",
         "whole, optical, geometric and outside always apart",
         "07_metrics",
     ),
@@ -93,7 +93,7 @@ _ROWS = [
         "07_metrics",
     ),
     (
-        "S3",
+        "Sec. V-B",
         "the learning rate mixes a trigonometric and an exponential factor",
         findings.learning_rates,
         "not said",
@@ -101,7 +101,7 @@ _ROWS = [
         "02_region_refinement",
     ),
     (
-        "T6",
+        "Table VI",
         "stage two takes 206 GFLOPs and 2.26 s (1,000 steps, two branches, two ViT-L extractors)",
         findings.operations,
         "no",
@@ -109,7 +109,7 @@ _ROWS = [
         "04_ddpm_math",
     ),
     (
-        "S8",
+        "Sec. IV-C",
         "SAM gives boundary maps; the denoiser gets F(x)",
         findings.inputs,
         "not said",
@@ -117,15 +117,15 @@ _ROWS = [
         "05_boundary_maps",
     ),
     (
-        "S6",
+        "Sec. V-B",
         "learning rate 1e-6 at batch 64",
         findings.base_rate,
         "not said",
         "the rate itself stands in the recipe",
-        "10_training_at_scale",
+        "04_ddpm_math",
     ),
     (
-        "S9",
+        "Sec. IV-A",
         "inside the mask depth is re-estimated, the readings are dropped",
         findings.in_region_evidence,
         "in part",
@@ -133,7 +133,7 @@ _ROWS = [
         "08_ablations",
     ),
     (
-        "I3, S5",
+        "Sec. IV-C",
         "L = Enc(D_in); CNN-based and transformer-based; a decoder that contains an encoder",
         findings.latent_target,
         "contradictory",
@@ -141,7 +141,7 @@ _ROWS = [
         "03_vq_autoencoder",
     ),
     (
-        "S7",
+        "Sec. IV-C",
         "the feature is the query, L_t key and value",
         findings.attention,
         "in part",
@@ -149,7 +149,7 @@ _ROWS = [
         "04_ddpm_math",
     ),
     (
-        "S2",
+        "Sec. IV-B",
         "median 7 × 7, dilation 5 × 5, three times; of no named resolution",
         findings.refinement,
         "not said",
@@ -157,7 +157,7 @@ _ROWS = [
         "02_region_refinement",
     ),
     (
-        "S4",
+        "Sec. IV-B",
         "stage one is fine-tuned with the final RMSE",
         findings.gradients,
         "no",
@@ -170,7 +170,7 @@ _ROWS = [
         findings.held_out,
         "in part",
         "test shapes and materials are never trained on",
-        "07_metrics",
+        "09_your_own_camera",
     ),
     (
         "Sec. V-C",
