@@ -30,7 +30,7 @@ class STD(FrameFolder):
     protocol = (
         "Paper, Sec. V-B: train on STD-CatKnown's 13 training scenes, test on its 12 test scenes and on the 5 of "
         "STD-CatNovel; absent ground truth is left out. For ClearGrasp, the geometric branch is trained on ALL of "
-        "STD-CatKnown: then nothing of STD-CatKnown is left to test that branch on."
+        "STD-CatKnown, which is sound as long as no STD score comes from the same weights."
     )
 
     def in_split(self, name: str) -> bool:
