@@ -53,6 +53,32 @@ def scatter(ax: Axes, x: Sequence[float], y_m: Sequence[float], marked: Sequence
     ax.tick_params(labelsize=FONT - 1)
 
 
+def against_scene(
+    errors: Mapping[str, float],
+    described: Mapping[str, Mapping[str, float]],
+    rho: Mapping[str, Interval | None],
+    marked: Sequence[str] = (),
+) -> Picture:
+    """Draw the errors against each figure that scenes are described by, and the rank correlation with each.
+
+    Args:
+        errors: scene -> optical RMSE in metres.
+        described: scene -> figure -> value.
+        rho: figure -> (correlation, low, high), None where it cannot be told.
+        marked: scenes that stand out.
+    """
+    figure, names = Picture(7.6, 3.2), list(described)
+    axes = figure.subplots(2, -(-(len(rho) + 1) // 2)).ravel()
+    for ax, key in zip(axes, rho, strict=False):
+        values = [described[n][key] for n in names], [errors[n] for n in names], [n in marked for n in names]
+        scatter(ax, *values, "", key)
+    for ax in axes[len(rho) : -1]:
+        ax.set_axis_off()
+    intervals(axes[-1], rho, "rank correlation", scale=1)
+    figure.supylabel("optical error (mm)", fontsize=FONT)
+    return figure
+
+
 def worst_scenes(
     samples: Sequence[Sample],
     depths: Sequence[np.ndarray],

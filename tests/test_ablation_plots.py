@@ -34,6 +34,19 @@ def test_marked_frames_stand_out_and_all_are_drawn_in_millimetres():
     np.testing.assert_allclose(marked, [[2, 20]])
 
 
+def test_each_figure_of_a_scene_has_its_panel_and_the_correlations_one():
+    described = {f"s{k}": {"size": k, "share": -k, "objects": 1} for k in range(4)}
+    errors = {name: 0.01 * d["size"] for name, d in described.items()}
+    rho = {"size": (1, 0.9, 1), "share": (-1, -1, -0.9), "objects": None}
+    figure = ablation_plots.against_scene(errors, described, rho, ["s3"])
+    *panels_, last = figure.axes
+    assert [ax.get_title() for ax in panels_] == list(rho)
+    plain, marked = (c.get_offsets().data for c in panels_[1].collections)
+    np.testing.assert_allclose(plain, [[0, 0], [-1, 10], [-2, 20]])
+    np.testing.assert_allclose(marked, [[-3, 30]])
+    assert [text.get_text() for text in last.get_yticklabels()] == list(rho) and figure.png()
+
+
 def scenes(count):
     region = np.zeros((12, 16), bool)
     region[3:8, 4:9] = True
