@@ -113,7 +113,7 @@ def rgb(
     regions: np.ndarray | Mapping[str, np.ndarray] | None = None,
     title: str = "",
 ) -> AxesImage:
-    """Draw a colour picture (H, W, 3) uint8 with the outline of one mask, or of several named ones.
+    """Draw a colour picture (H, W, 3) uint8 with the outline of one mask, or of several, their names below it.
 
     Raises:
         ValueError: when the picture is not RGB uint8, or a mask not boolean of the same size.
@@ -129,7 +129,7 @@ def rgb(
             ax.contour(np.pad(mask, 1), [0.5], colors=colour, linewidths=1.2, extent=_extent(mask.shape))
     if any(named):
         handles = [Line2D([], [], color=colour, label=label) for label, colour in zip(named, OKABE_ITO, strict=False)]
-        ax.legend(handles=handles, fontsize=FONT - 1, loc="lower right")
+        _legend_below(ax, handles, columns=min(len(handles), 3))
     _bare(ax, title)
     return drawn
 
@@ -152,12 +152,10 @@ def labels(ax: Axes, codes: np.ndarray, names: Mapping[int, str], title: str = "
     colours = [*("#FFFFFF", *OKABE_ITO)[: len(names)], GREY]
     drawn = ax.imshow(index, cmap=ListedColormap(colours), vmin=-0.5, vmax=len(names) + 0.5, interpolation="nearest")
     counts = np.bincount(index.ravel(), minlength=len(names) + 1)
-    entries = [
-        (c, f"{name} {n:,}") for c, name, n in zip(colours, [*names.values(), "other"], counts, strict=True) if n
-    ]
     square = {"marker": "s", "linestyle": "", "markeredgecolor": "black", "markeredgewidth": 0.5}
-    handles = [Line2D([], [], color=colour, label=text, **square) for colour, text in entries]
-    ax.legend(handles=handles, fontsize=FONT - 1, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2, frameon=False)
+    entries = zip(colours, [*names.values(), "other"], counts, strict=True)
+    handles = [Line2D([], [], color=colour, label=f"{name} {n:,}", **square) for colour, name, n in entries if n]
+    _legend_below(ax, handles, columns=2)
     _bare(ax, title)
     return drawn
 
@@ -233,6 +231,11 @@ def difference_mm(depth_m: np.ndarray, depth_gt: np.ndarray) -> tuple[np.ndarray
     if depth_m.shape != depth_gt.shape:
         raise ValueError(f"depth is {depth_m.shape}, its ground truth {depth_gt.shape}: they should be alike")
     return (depth_m - depth_gt) * 1000.0, (depth_m > 0) & (depth_gt > 0)
+
+
+def _legend_below(ax: Axes, handles: list[Line2D], columns: int) -> None:
+    style = {"fontsize": FONT - 1, "frameon": False, "handlelength": 1.2, "columnspacing": 1.0}
+    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=columns, **style)
 
 
 def _extent(shape: tuple[int, int]) -> tuple[float, float, float, float]:

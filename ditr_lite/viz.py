@@ -96,7 +96,8 @@ def grid(
     columns = max(map(len, rows))
     width = min(WIDTH_IN, 3.2 * columns)
     height, wide = panels[0].array.shape[:2]
-    figure = Picture(width, len(rows) * (0.92 * width / columns * height / wide + 0.45))
+    legend = 0.2 * isinstance(region, Mapping)  # inches for the names of the outlines
+    figure = Picture(width, len(rows) * (0.92 * width / columns * height / wide + 0.45 + legend))
     axes = figure.subplots(len(rows), columns, squeeze=False)
     draw = {
         "rgb": lambda ax, p: rgb(ax, p.array, region, p.title),

@@ -94,6 +94,16 @@ def test_named_outlines_get_a_legend(ax, sample):
     assert [t.get_text() for t in ax.get_legend().get_texts()] == ["true", "found"]
 
 
+def test_no_legend_lies_on_the_picture_that_it_explains(sample):
+    masks = {"true": sample.region, "found": ~sample.region, "refined": sample.region}
+    figure = viz.row([("rgb", sample.rgb, "a"), ("depth", sample.depth, "b")], region=masks, depth_gt=sample.depth_gt)
+    viz.labels(figure.axes[1], sample.region.astype(np.uint8), {0: "outside", 1: "inside"})
+    figure.draw_without_rendering()
+    for ax in figure.axes[:2]:
+        box, picture = ax.get_legend().get_window_extent(), ax.get_window_extent()
+        assert 0 <= box.y0 and box.y1 <= picture.y0 + 1  # inside the figure, below the picture
+
+
 def test_labels_count_what_occurs(ax):
     codes = np.zeros(SHAPE, np.uint8)
     codes[0, :5], codes[1, :3] = 2, 255
