@@ -8,7 +8,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import torch
+from torch import nn
 
+from ditr_lite import recipes
+from ditr_lite.config import Config
+from ditr_lite.scenedata import Scenes
+from ditr_lite.schedule import make_schedule
 from ditr_lite.summaries import bootstrap_mean, paired_bootstrap
 
 
@@ -81,3 +87,41 @@ def verdict(name: str, minus_m: Sequence[float] | None, other: str = "the defaul
     mean, low, high = (1000 * x for x in minus_m)
     said = "a larger error than" if low > 0 else "a smaller error than" if high < 0 else "no measurable difference from"
     return f"{name}: {said} {other} ({mean:+.1f} mm [{low:+.1f}, {high:+.1f}])"
+
+
+def seed_verdict(name: str, a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], other: str) -> str:
+    """Return :func:`verdict` of two variants trained more than once, (S, N) metres each, and whether it beats the seeds.
+
+    Args:
+        name: of the first.
+        a: its errors, see :func:`compare_seeds`.
+        b: those of the second.
+        other: its name.
+    """
+    gain = compare_seeds(a, b)
+    said = "clear" if gain.clear else "not clear"
+    return f"{verdict(name, gain[:3], other)}; seeds {1000 * gain.seeds:.1f} mm apart: {said}"
+
+
+@torch.no_grad()
+def scene_errors(
+    branch: str, net: nn.Module, autoencoder: nn.Module, scenes: Scenes, config: Config, seed: int = 0
+) -> np.ndarray:
+    """Return the RMSE (N,) in metres of what one branch paints in one step, per scene, with the true region.
+
+    Args:
+        branch: "optical" or "geometric"; it says which pixels count.
+        net: its denoiser, trained or not.
+        autoencoder: of the latents.
+        scenes: to paint; one without such pixels scores 0.
+        config: of net and schedule.
+        seed: of the noise.
+    """
+    found, plan = [], make_schedule(config.schedule)
+    for batch in recipes.batches(scenes, 8):
+        given, paint = recipes.branch_inputs(branch, batch, config)
+        decoded = recipes.one_step(net, autoencoder, given, plan, config, seed)
+        where = paint * batch.gt_known
+        square = ((decoded - batch.gt_n) * batch.scale_m).square() * where
+        found.append((square.sum((1, 2, 3)) / where.sum((1, 2, 3)).clamp(min=1)).sqrt())
+    return torch.cat(found).numpy()

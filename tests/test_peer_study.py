@@ -94,7 +94,7 @@ def test_tables_name_every_row_and_survive_json(report):
         and "harmonic" in peers
         and "0.89 [0.89, 0.89]" in peers
     )
-    assert ablation.count("seed 1") == 3 and "-25 [-25, -25] %" in ablation
+    assert ablation.count("seed 1") == 3 and ablation.count("-25 [-25, -25] %") == 2 and "IV: -33 %, -5 %" in ablation
     assert all(name in oracles for name in peer_study.ORACLES)
 
 
