@@ -90,11 +90,11 @@ def verdict(name: str, minus_m: Sequence[float] | None, other: str = "the defaul
 
 
 def seed_verdict(name: str, a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], other: str) -> str:
-    """Return :func:`verdict` of two variants trained more than once, (S, N) metres each, and whether it beats the seeds.
+    """Return :func:`verdict` of two variants that were trained more than once, and whether it beats the seeds.
 
     Args:
         name: of the first.
-        a: its errors, see :func:`compare_seeds`.
+        a: its errors (S, N) in metres, see :func:`compare_seeds`.
         b: those of the second.
         other: its name.
     """
