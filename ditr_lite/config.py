@@ -103,7 +103,6 @@ class Config:
     detail: DetailConfig = field(default_factory=DetailConfig)
     sampler: SamplerConfig = field(default_factory=SamplerConfig)
     std: StdConfig = field(default_factory=StdConfig)
-    loss_in_metres: bool = True  # a frame counts by its squared metres per network unit (the paper's Eq. 8: all alike)
     evidence: bool = True  # feed in-region readings to the optical branch, flagged as unreliable (the paper drops them)
 
 
@@ -128,7 +127,6 @@ PRESETS: dict[str, Config] = {
         unet=UNetConfig(width=64, block="plain", cond_channels=64, heads=1, anchor=False),
         detail=DetailConfig(width=0),
         sampler=SamplerConfig(prediction="x0", steps=1000, samples=1),
-        loss_in_metres=False,
         evidence=False,
     ),
 }

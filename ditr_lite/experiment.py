@@ -45,7 +45,6 @@ TOUCHES = {  # what has to be trained again when a setting, or one below it, cha
     "sampler.prediction": ("optical", "geometric", "detail"),
     "sampler.steps": (),
     "sampler.samples": (),
-    "loss_in_metres": ("optical", "geometric", "detail"),
     "evidence": ("optical", "detail"),
     "std": (),
     "detail": ("detail",),

@@ -124,7 +124,7 @@ A1 | done | 09_your_own_camera | 10 · Four cameras, one scene
 sensors.measure | test_sensors.py::test_shipped_frames_show_the_signatures
 generalisation without ground truth over four cameras
 
-A2 | done | 08_ablations | 8 · Search for failures (A2)
+A2 | done | 08_ablations | 8 · Search for failures
 failures.correlations | test_failures.py::test_correlations_are_taken_over_the_frames_in_both
 failure cases: very large and overlapping objects
 

@@ -216,12 +216,11 @@ def single_step(
             masked = autoencoder.encode(filled)
         x0 = targets[batch.index, batch.flipped.astype(int)].float()
         t = torch.randint(0, schedule.timesteps, (len(x0),))
-        t[: len(x0) // 2] = schedule.timesteps - 1  # as for the branches
+        t[: len(x0) // 3] = schedule.timesteps - 1  # as for the branches
         eps = torch.randn_like(x0)
         features = net.features(image.contiguous(memory_format=torch.channels_last))
         out = net(diffusion.q_sample(x0, t, eps, schedule), t, features, masked, known)
         mask = F.avg_pool2d(batch.gt_known, 4)
-        weight = recipes.by_metres(batch) if config.loss_in_metres else None
-        return {"total": diffusion.loss(out, x0, eps, t, schedule, config.sampler.prediction, weight, mask)}
+        return {"total": diffusion.loss(out, x0, eps, t, schedule, config.sampler.prediction, mask=mask)}
 
     return step_loss

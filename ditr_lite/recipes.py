@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ditr_lite import diffusion
-from ditr_lite.augment import lose_patches, mistake, reframe
+from ditr_lite.augment import grow, lose_patches, mistake, reframe
 from ditr_lite.autoencoder import VQAutoencoder, autoencoder_loss
 from ditr_lite.conditioning import condition, fill
 from ditr_lite.config import Config
@@ -29,8 +29,8 @@ StepLoss = Callable[[int], dict[str, Tensor]]
 RECIPES = {
     "autoencoder": Recipe(steps=3000, batch=16, lr=2e-3),
     "region": Recipe(steps=5000, batch=8, lr=2e-3, weight_decay=1e-2),
-    "optical": Recipe(steps=4000, batch=8, lr=1e-3),
-    "geometric": Recipe(steps=3000, batch=8, lr=1e-3),
+    "optical": Recipe(steps=1700, batch=8, lr=1e-3),
+    "geometric": Recipe(steps=800, batch=8, lr=1e-3),
     "detail": Recipe(steps=2400, batch=8, lr=2e-3),
 }
 
@@ -76,28 +76,18 @@ def branch_inputs(
 ) -> tuple[tuple[Tensor, Tensor, Tensor], Tensor]:
     """Return what a branch is given (see ``condition``) and where it must paint, (B, 1, H, W) 0/1.
 
-    With ``rng`` the region is mistaken as stage one's is, so that a branch learns to doubt it, and in-region evidence
-    is withheld from one batch in five so that it learns to do without.
+    With ``rng`` the region is the true one grown or shrunk at random, as stage one and its refinement would, and
+    in-region evidence is withheld from one batch in five so that the branch learns to do without.
     """
     if region is None:
         region = (batch.material > 0)[:, None].float()
         if rng is not None:
-            region = mistake(region, rng)
+            region = grow(region, int(rng.integers(-1, 5)))
     evidence = config.evidence and branch == "optical" and (rng is None or rng.random() > 0.2)
     guide = batch.guide_da if branch == "optical" else batch.guide_rgb
     given = condition(batch.rgb, batch.depth_n, batch.valid, region, guide, evidence)
     paint = region if branch == "optical" else (1 - region) * (1 - batch.valid)
     return given, paint
-
-
-def by_metres(batch: Batch) -> Callable[[Tensor], Tensor]:
-    """Return a weight for :func:`diffusion.loss` that makes a frame's squared error one in metres.
-
-    Departure: depth is scored in metres; without it a close shelf counts in training as much as a deep room. The weight
-    does not depend on t, so the best answer for a frame stays what it was.
-    """
-    squared = batch.scale_m.flatten().square()
-    return lambda t: squared
 
 
 def branch_step(
@@ -121,13 +111,12 @@ def branch_step(
             masked = autoencoder.encode(_cl(filled))
         x0 = targets[batch.index, batch.flipped.astype(int)].float()
         t = torch.randint(0, schedule.timesteps, (len(x0),))
-        t[: len(x0) // 2] = schedule.timesteps - 1  # few-step sampling leans on the first step: practise it
+        t[: len(x0) // 3] = schedule.timesteps - 1  # few-step sampling leans on the first step: practise it
         eps = torch.randn_like(x0)
         x_t = diffusion.q_sample(x0, t, eps, schedule)
         out = model(x_t, t, model.features(_cl(image)), masked, known)
         mask = F.avg_pool2d(paint * batch.gt_known, 4) + 0.05
-        weight = by_metres(batch) if config.loss_in_metres else None
-        return {"total": diffusion.loss(out, x0, eps, t, schedule, config.sampler.prediction, weight, mask)}
+        return {"total": diffusion.loss(out, x0, eps, t, schedule, config.sampler.prediction, mask=mask)}
 
     return step_loss
 

@@ -22,7 +22,6 @@ SETTINGS: dict[str, dict[str, str]] = {
     "predicts v, 10 steps": {"sampler.prediction": "v", **MANY},
     "cosine schedule": {"schedule.name": "cosine"},
     "no evidence": {"evidence": "false"},
-    "loss in network units": {"loss_in_metres": "false"},
     "the latent asks": {"unet.query": "latent"},
     "twice the width": {"unet.width": "16"},
     "no detail network": {"detail.width": "0"},

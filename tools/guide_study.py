@@ -27,7 +27,7 @@ from ditr_lite.conditioning import CHANNELS, fill
 from ditr_lite.config import Config, from_dict
 from ditr_lite.data import SAMPLES, read_sample
 from ditr_lite.files import write_json
-from ditr_lite.recipes import batches, branch_inputs, by_metres
+from ditr_lite.recipes import batches, branch_inputs
 from ditr_lite.scenedata import Batch, Scenes, draw, load_scenes
 from ditr_lite.schedule import make_schedule
 from ditr_lite.store import WEIGHTS, load_part, read_card, sha256
@@ -99,8 +99,7 @@ def train_branch(
         eps = torch.randn_like(x0)
         out = net(diffusion.q_sample(x0, t, eps, schedule), t, net.features(image), masked_all[index], known)
         mask = F.avg_pool2d(paint * batch.gt_known, 4) + 0.05
-        weight = by_metres(batch) if config.loss_in_metres else None
-        return {"total": diffusion.loss(out, x0, eps, t, schedule, config.sampler.prediction, weight, mask)}
+        return {"total": diffusion.loss(out, x0, eps, t, schedule, config.sampler.prediction, mask=mask)}
 
     return fit(f"guide-{branch}", net, step_loss, recipe, work, every=100)
 
