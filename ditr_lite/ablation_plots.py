@@ -67,7 +67,7 @@ def against_scene(
         rho: figure -> (correlation, low, high), None where it cannot be told.
         marked: scenes that stand out.
     """
-    figure, names = Picture(7.6, 3.2), list(described)
+    figure, names = Picture(7.2, 3.0), list(described)
     axes = figure.subplots(2, -(-(len(rho) + 1) // 2)).ravel()
     for ax, key in zip(axes, rho, strict=False):
         values = [described[n][key] for n in names], [errors[n] for n in names], [n in marked for n in names]

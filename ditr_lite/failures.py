@@ -144,6 +144,15 @@ def correlations(
     return out
 
 
+def format_ranges(described: Mapping[str, Description]) -> str:
+    """Return, a line for each figure of :data:`DESCRIBED`, what it says and its range over the frames that have it."""
+    lines = []
+    for key, says in DESCRIBED.items():
+        values = [d[key] for d in described.values() if d[key] is not None]
+        lines.append(f"  {says:55} " + (f"{min(values):6.3f} to {max(values):6.3f}" if values else "not measured"))
+    return "\n".join(lines)
+
+
 def worst(errors: Mapping[str, float | None], count: int = 10) -> list[str]:
     """Return the names of the frames with the largest errors, the worst first; frames without an error do not count."""
     scored = {name: error for name, error in errors.items() if error is not None}
