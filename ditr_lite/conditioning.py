@@ -4,6 +4,7 @@ Paper: Sec. III (calibration) and IV-C. The paper leaves open how raw depth reac
 inpainting's: the encoded known depth and a mask are concatenated to L_t, everything else enters through F(x).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -70,6 +71,21 @@ class Frame:
         small = cv2.resize(image.astype(kind), (self.width, self.height), interpolation=method)
         pad = ((0, self.size[0] - self.height), (0, self.size[1] - self.width))
         return np.pad(small, pad + ((0, 0),) * (image.ndim - 2)).astype(image.dtype)
+
+    def on_picture(self, find: Callable[..., tuple], *images: np.ndarray, **settings) -> tuple[np.ndarray, ...]:
+        """Call ``find`` with images less their padding, whose edge it would take for a boundary; pad what it returns.
+
+        Args:
+            find: of images (h, w, ...) and ``settings``; returns maps (h, w).
+            images: at the working size.
+            settings: passed on.
+
+        Returns:
+            the maps at the working size, 0 in the padding.
+        """
+        found = find(*(image[: self.height, : self.width] for image in images), **settings)
+        pad = ((0, self.size[0] - self.height), (0, self.size[1] - self.width))
+        return tuple(np.pad(m, pad) for m in found)
 
     def back(self, image: np.ndarray) -> np.ndarray:
         """Bring a map (H, W) back from the working size: masks by nearest, depth smoothly but not over edges."""

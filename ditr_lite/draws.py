@@ -39,7 +39,7 @@ def draw_frame(ditr: Ditr, sample: Sample, steps: int, count: int = 4, seed: int
         raise ValueError(f"{sample.name} has no true region: draws are compared where it is known")
     frame, bounds = fit(sample.depth.shape, ditr.config.size), depth_bounds(sample.depth)
     small_rgb, small, region = (frame.into(a) for a in (sample.rgb, sample.depth, sample.region))
-    maps = boundary_maps(small_rgb, small, ditr.backend)
+    maps = frame.on_picture(boundary_maps, small_rgb, small, backend=ditr.backend)
     both = ditr.inpaint(small_rgb, small, region, maps, bounds, steps, count, seed)
     drawn = (compose(sample.depth, frame.back(o), frame.back(g), sample.region) for o, g in zip(*both, strict=True))
     return np.stack(list(drawn))

@@ -113,10 +113,12 @@ def stages(
     rgb, depth, bounds = frame.into(sample.rgb), frame.into(sample.depth), depth_bounds(sample.depth)
 
     def find() -> np.ndarray:
-        return ditr.refine(ditr.region_probability(rgb, depth, bounds) > 0.5)
+        return ditr.refine(ditr.region_probability(rgb, depth, bounds) > 0.5) & frame.into(
+            np.ones(sample.depth.shape, bool)
+        )
 
     def guide() -> tuple[np.ndarray, ...]:
-        return boundary_maps(rgb, depth, ditr.backend)
+        return frame.on_picture(boundary_maps, rgb, depth, backend=ditr.backend)
 
     region, maps, image = find(), guide(), to_tensor(rgb[None])
     known = depth > 0

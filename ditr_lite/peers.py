@@ -143,7 +143,8 @@ class Peer:
         image, valid = to_tensor(frame.into(rgb)[None]), torch.from_numpy((small > 0).astype(np.float32))[None, None]
         depth_n = torch.from_numpy(bounds.normalise(small).astype(np.float32))[None, None] * valid
         if self.name == "single_latent_diffusion":
-            metres = bounds.denormalise(self._denoise(frame.into(rgb), small, image, depth_n, valid))
+            m_rgb = frame.on_picture(boundary_maps, frame.into(rgb), small, backend=get_backend("classical"))[0]
+            metres = bounds.denormalise(self._denoise(m_rgb, image, depth_n, valid))
         else:
             name = self.name.removesuffix("_aligned")
             out = self.net(network_input(name, image, depth_n, valid))
@@ -161,8 +162,8 @@ class Peer:
             return solve(outside, out[0, :2].numpy(), torch.sigmoid(out[0, 2]).numpy())
         return bounds.denormalise(predicted_depth(name, out, depth_n, valid)[0, 0].numpy())
 
-    def _denoise(self, rgb: np.ndarray, depth: np.ndarray, image: Tensor, depth_n: Tensor, valid: Tensor) -> np.ndarray:
-        guide = torch.from_numpy(boundary_maps(rgb, depth, get_backend("classical"))[0])[None, None].float()
+    def _denoise(self, m_rgb: np.ndarray, image: Tensor, depth_n: Tensor, valid: Tensor) -> np.ndarray:
+        guide = torch.from_numpy(m_rgb)[None, None].float()
         given, filled, known = single_latent_input(image, depth_n, valid, guide)
         sampler, count = self.config.sampler, self.config.sampler.samples
         features = [f.expand(count, -1, -1, -1) for f in self.net.features(given)]

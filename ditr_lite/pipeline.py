@@ -124,7 +124,7 @@ class Ditr:
             region = frame.back(small_region)
         else:
             small_region = frame.into(region)
-        maps = boundary_maps(small_rgb, small, self.backend)
+        maps = frame.on_picture(boundary_maps, small_rgb, small, backend=self.backend)
         optical, geometric = self.inpaint(small_rgb, small, small_region, maps, bounds, steps, samples, seed)
         parts = [[frame.back(d) for d in branch] for branch in (optical, geometric)]  # samples of (H, W) each
         means = [np.mean(branch, axis=0) for branch in parts]

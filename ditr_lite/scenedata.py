@@ -81,7 +81,8 @@ def shrink(scenes: Scenes, size: tuple[int, int], boundary: str = "classical") -
     frame, backend = fit(scenes.depth.shape[1:], size), get_backend(boundary)
     small = {name: np.stack([frame.into(image) for image in getattr(scenes, name)]) for name in MAPS}
     metres = small["depth"].astype(np.float32) / 1000
-    maps = [boundary_maps(rgb, depth, backend) for rgb, depth in zip(small["rgb"], metres, strict=True)]
+    pairs = zip(small["rgb"], metres, strict=True)
+    maps = [frame.on_picture(boundary_maps, rgb, depth, backend=backend) for rgb, depth in pairs]
     guides = np.stack([np.stack([m_rgb, m_da]) for m_rgb, _, m_da in maps]).astype(np.uint8)
     return Scenes(names=scenes.names, guides=guides, **small)
 

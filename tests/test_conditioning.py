@@ -79,6 +79,21 @@ def test_at_the_working_size_a_map_comes_back_as_a_copy_of_itself():
     assert np.array_equal(back, depth) and not np.shares_memory(back, depth)
 
 
+def test_what_is_found_on_the_picture_never_sees_its_padding():
+    frame = fit((72, 128), (96, 128))
+    seen = []
+
+    def find(image, depth, factor):
+        seen.append((image.shape, depth.shape))
+        return depth > 0, factor * depth
+
+    image, depth = np.ones((96, 128, 3), np.uint8), np.ones((96, 128), np.float32)
+    found, scaled = frame.on_picture(find, image, depth, factor=2)
+    assert seen == [((72, 128, 3), (72, 128))]
+    assert found[:72].all() and not found[72:].any() and found.dtype == bool
+    assert (scaled[:72] == 2).all() and not scaled[72:].any()
+
+
 # --- fill -------------------------------------------------------------------------------------------------------------
 
 

@@ -243,3 +243,9 @@ def test_a_few_scattered_readings_are_enough(ditr):
     sparse[::90, ::90] = np.maximum(depth[::90, ::90], 0.5)
     out = ditr(rgb, sparse, np.zeros(depth.shape, bool), steps=1)
     assert (out.depth > 0).all() and same_bits(out.depth[sparse > 0], sparse[sparse > 0])
+
+
+def test_no_boundary_runs_along_the_edge_of_the_padding(ditr):
+    rgb = np.full((60, 160, 3), 200, np.uint8)  # the tiny system pads it below
+    out = ditr(rgb, np.full((60, 160), 0.7, np.float32), samples=1)
+    assert not out.boundary_rgb.any()
