@@ -113,7 +113,7 @@ def scene_errors(
         branch: "optical" or "geometric"; it says which pixels count.
         net: its denoiser, trained or not.
         autoencoder: of the latents.
-        scenes: to paint; one without such pixels scores 0.
+        scenes: to paint; one without such pixels scores NaN.
         config: of net and schedule.
         seed: of the noise.
     """
@@ -123,5 +123,5 @@ def scene_errors(
         decoded = recipes.one_step(net, autoencoder, given, plan, config, seed)
         where = paint * batch.gt_known
         square = ((decoded - batch.gt_n) * batch.scale_m).square() * where
-        found.append((square.sum((1, 2, 3)) / where.sum((1, 2, 3)).clamp(min=1)).sqrt())
+        found.append((square.sum((1, 2, 3)) / where.sum((1, 2, 3))).sqrt())  # 0 / 0 is NaN
     return torch.cat(found).numpy()
