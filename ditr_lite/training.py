@@ -1,14 +1,16 @@
 """The training loop that every part shares: moving-average weights, checkpoints, exact resume, a log."""
 
+import hashlib
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from torch import Tensor, nn
 from tqdm.auto import tqdm
@@ -46,11 +48,13 @@ def fit(
     every: int = 500,
     seed: int = 0,
     progress: bool = True,
+    key: str = "",
 ) -> dict[str, Any]:
     """Train ``model`` in place and leave it with its moving-average weights.
 
     A checkpoint (weights, average, optimiser) is written to ``folder`` every ``every`` steps; a later call with the
     same arguments goes on from it. Step k draws the same numbers whether or not training was interrupted before it.
+    Only ``recipe.steps`` may be larger than before: what is left is then done at the rates of the longer run.
 
     Args:
         name: of the part; names the files.
@@ -62,12 +66,14 @@ def fit(
         every: steps between checkpoints.
         seed: of torch's generator.
         progress: show a bar.
+        key: of all that decides the weights besides recipe and seed, such as scenes and the weights at the start; a
+            checkpoint with another key is not taken.
 
     Returns:
         ``steps``, ``seconds`` of wall time, and the ``curve`` of logged figures.
 
     Raises:
-        ValueError: for a checkpoint of a model of other sizes.
+        ValueError: for a checkpoint of another run or of a model of other sizes, or a damaged one.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -75,10 +81,11 @@ def fit(
     parameters = [p for p in model.parameters() if p.requires_grad]
     optimiser = torch.optim.AdamW(parameters, lr=recipe.lr, weight_decay=recipe.weight_decay)
     average = {k: v.clone() for k, v in model.state_dict().items()}
-    first, spent, curve = 0, 0.0, []
+    first, spent, curve, run = 0, 0.0, [], _run(recipe, seed, key)
     if checkpoint.is_file():
+        tensors = _read(checkpoint, run, recipe.steps)
         try:
-            first = _restore(load_file(str(checkpoint)), model, average, optimiser, parameters)
+            first = _restore(tensors, model, average, optimiser, parameters)
         except (RuntimeError, KeyError):  # torch's message is a page of tensor names
             raise ValueError(f"{checkpoint} is of other sizes: delete it, or use another folder") from None
         curve = [row for row in map(json.loads, log.read_text().splitlines()) if row["step"] <= first]
@@ -103,9 +110,28 @@ def fit(
                 row |= _validate(model, average, validate)
             curve.append(row)
             log.write_text("".join(json.dumps(r) + "\n" for r in curve))
-            write_tensors(_snapshot(step + 1, model, average, optimiser, parameters), checkpoint)
+            about = {"run": run, "steps": str(recipe.steps)}
+            write_tensors(_snapshot(step + 1, model, average, optimiser, parameters), checkpoint, about)
     model.load_state_dict(average)
     return {"steps": recipe.steps, "seconds": curve[-1]["seconds"] if curve else 0.0, "curve": curve}
+
+
+def _run(recipe: Recipe, seed: int, key: str) -> str:
+    plain = {k: v for k, v in asdict(recipe).items() if k != "steps"}
+    return hashlib.sha256(json.dumps([plain, seed, key]).encode()).hexdigest()
+
+
+def _read(checkpoint: Path, run: str, steps: int) -> dict[str, Tensor]:
+    try:
+        with safe_open(str(checkpoint), "pt") as file:
+            about = file.metadata() or {}
+        tensors = load_file(str(checkpoint))
+    except SafetensorError as error:
+        raise ValueError(f"{checkpoint} is damaged ({error}): delete it, training then begins again") from None
+    if about.get("run") != run or int(about["steps"]) > steps:
+        other = f"one of {about['steps']} steps, more than {steps}" if about.get("run") == run else "of other settings"
+        raise ValueError(f"{checkpoint} belongs to another run, {other}: delete it or give --work another folder")
+    return tensors
 
 
 def _follow(average: dict[str, Tensor], model: nn.Module, decay: float) -> None:

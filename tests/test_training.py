@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -88,6 +89,45 @@ def test_finished_training_is_not_repeated(tmp_path):
     first, _ = run(tmp_path)
     again, notes = run(tmp_path, until=0)  # would raise if a step were taken
     assert all(torch.equal(first[k], again[k]) for k in first) and notes["steps"] == 12
+
+
+def test_a_longer_run_goes_on_from_a_shorter_one(tmp_path):
+    straight, _ = run(tmp_path)
+    model = build()
+    notes = fit("part", model, loss_of(model), replace(RECIPE, steps=14), tmp_path, every=5)
+    assert [r["step"] for r in notes["curve"]] == [5, 10, 12, 14] and notes["steps"] == 14
+    assert not torch.equal(straight["0.weight"], model.state_dict()["0.weight"])
+
+
+@pytest.mark.parametrize(
+    ("changed", "settings"),
+    [
+        ({"steps": 2}, {}),  # it would say 2 steps of weights with 12
+        ({"lr": 0.01}, {}),
+        ({"batch": 2}, {}),
+        ({"decay": 0.5, "steps": 20}, {}),
+        ({}, {"seed": 1}),
+        ({}, {"key": "other scenes"}),
+    ],
+)
+def test_checkpoint_of_another_run_is_refused(tmp_path, changed, settings):
+    run(tmp_path, key="scenes")
+    model = build()
+    with pytest.raises(ValueError, match="belongs to another run, .*: delete it or give --work another folder"):
+        fit("part", model, loss_of(model), replace(RECIPE, **changed), tmp_path, **{"key": "scenes", **settings})
+
+
+def test_checkpoint_that_does_not_say_of_which_run_it_is_or_is_cut_short_is_refused(tmp_path):
+    run(tmp_path)
+    file = tmp_path / "part.checkpoint.safetensors"
+    tensors, whole = training.load_file(str(file)), file.read_bytes()
+    store.write_tensors(tensors, file)
+    with pytest.raises(ValueError, match="belongs to another run"):
+        run(tmp_path)
+    for length in (0, 5, len(whole) // 2, len(whole) - 1):
+        file.write_bytes(whole[:length])
+        with pytest.raises(ValueError, match="checkpoint.safetensors is damaged .*: delete it"):
+            run(tmp_path)
 
 
 def test_seed_decides_and_the_average_is_what_remains(tmp_path):
