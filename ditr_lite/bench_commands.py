@@ -10,12 +10,14 @@ from ditr_lite.commands import _check_target, _frames, _line, _load
 def bench(args: Namespace) -> None:
     """Score every method on a split, a reader's own included, and measure what each stage costs."""
     _check_target(args.json, ".json")
-    from ditr_lite import evaluation
+    from ditr_lite import evaluation, latency
     from ditr_lite.baselines import REGISTRY
     from ditr_lite.files import write_json
-    from ditr_lite.own_method import find_method
+    from ditr_lite.own_method import find_methods
 
-    own = dict(find_method(address) for address in args.method)
+    if args.runs < latency.MIN_RUNS:  # now, not after everything has been scored
+        raise ValueError(f"--runs should be at least {latency.MIN_RUNS}, got {args.runs}")
+    own = find_methods(args.method)
     source, frames = _frames(args)
     ditr = _load(args)
     results = evaluation.run_methods(frames, ditr, {**REGISTRY, **own}, args.given_region, args.steps, args.samples)

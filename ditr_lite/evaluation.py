@@ -22,7 +22,7 @@ from ditr_lite.protocols import Protocol
 from ditr_lite.region_scores import PER_CLASS, class_map, class_scores
 from ditr_lite.store import read_card
 
-DITR, SENSOR = "ditr", "sensor"
+DITR, SENSOR = RESERVED = "ditr", "sensor"  # rows that are not methods
 COMPARED = ("optical", "optical_valid", "geometric")  # where differences get an interval
 STAGE_ONE = ("iou", "miss_rate", "area_ratio")  # of every frame; PER_CLASS where the materials are known
 Result = dict[str, Any]  # of one frame, ready for JSON
@@ -59,9 +59,11 @@ def run_methods(
         reading outside the region came back bit for bit. ``protocol``: method -> scores, when one was asked for.
 
     Raises:
-        ValueError: for a frame without ground truth, or without a true region where that was to be given.
+        ValueError: for a frame without ground truth, or without a region to give; a method named as in ``RESERVED``.
     """
     methods = REGISTRY if methods is None else methods
+    if taken := [name for name in RESERVED if name in methods]:
+        raise ValueError(f"a method cannot be called {taken[0]!r}, which is a row of its own: give it another name")
     results = []
     for sample in tqdm(samples, desc="frames", unit="frame", **({} if progress else {"disable": True})):
         if sample.depth_gt is None:
@@ -189,10 +191,9 @@ def format_report(report: Mapping[str, Any], protocol: Protocol | None = None) -
         rows = {name: row or {} for name, row in report["protocol"].items()}
         lines += [f"As {protocol.name}'s code scores: {protocol.describe()}"]
         lines += [metrics.format_table(rows, protocol.sets)]
-    one = report["stage_one"]
-    if one["iou"] is not None:
-        figures = {key: f"{key} {_text(one[key], 1, '.3f')}" for key in STAGE_ONE + PER_CLASS if one.get(key)}
-        lines.append("stage one: " + ", ".join(figures.values()) + " (miss_rate and area_ratio after refinement)")
+    if (one := report["stage_one"])["iou"] is not None:
+        figures = (f"{key} {_text(one[key], 1, '.3f')}" for key in STAGE_ONE + PER_CLASS if one.get(key))
+        lines.append("stage one: " + ", ".join(figures) + " (miss_rate and area_ratio after refinement)")
     lines.append(f"{SENSOR} = bare readings, scored only where there are any; all others are dense")
     lines.append("readings outside the region: " + ("kept bit for bit" if report["kept"] else "CHANGED, a defect"))
     for name, reasons in report["refused"].items():

@@ -4,13 +4,29 @@ The quickest experiment there is: write ``f(rgb, depth, region) -> depth``, name
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
 from ditr_lite.baselines import REGISTRY, Fill
+from ditr_lite.evaluation import RESERVED
+
+
+def find_methods(addresses: Iterable[str], folder: Path | str = ".") -> dict[str, Fill]:
+    """Return name -> call of several methods, found as :func:`find_method` finds one.
+
+    Raises:
+        ValueError: likewise, and for two methods of one name: they would share a row of the table.
+    """
+    found: dict[str, Fill] = {}
+    for address in addresses:
+        name, method = find_method(address, folder)
+        if name in found:
+            raise ValueError(f"two methods are called {name!r}: give one of them another name")
+        found[name] = method
+    return found
 
 
 def find_method(address: str, folder: Path | str = ".") -> tuple[str, Fill]:
@@ -24,18 +40,20 @@ def find_method(address: str, folder: Path | str = ".") -> tuple[str, Fill]:
         (function's name, call), of the baselines' call shape.
 
     Raises:
-        ValueError: for an address of another form, a module or function that is not there, or a name that a baseline
-            has already. The call raises ValueError when the depth that comes back cannot be scored.
+        ValueError: for an address of another form, a module or function that is not there or cannot be imported, or a
+            name that a row of the tables has already. The call raises ValueError when the depth that comes back cannot
+            be scored.
     """
     module, colon, function = address.partition(":")
-    if not (module and colon and function):
+    if not (module and colon and function) or module.startswith("."):  # a relative import has no package here
         raise ValueError(f"a method is named module:function, like mine:fill for fill in mine.py; got {address!r}")
-    if function in REGISTRY:
-        raise ValueError(f"{function!r} is the name of a baseline: call your function something else")
+    if function in REGISTRY or function in RESERVED:
+        what = "baseline" if function in REGISTRY else "row that every table has"
+        raise ValueError(f"{function!r} is the name of a {what}: call your function something else")
     sys.path.insert(0, str(Path(folder).resolve()))
     try:
         method = getattr(import_module(module), function, None)
-    except ModuleNotFoundError as error:
+    except (ImportError, SyntaxError) as error:
         raise ValueError(f"cannot import {module!r} from {Path(folder).resolve()}: {error}") from None
     finally:
         sys.path.pop(0)

@@ -94,6 +94,14 @@ def test_all_baselines_are_run_by_default_and_options_reach_ditr():
     assert result["stage_one"] is None  # nothing was found, so there is nothing to score
 
 
+@pytest.mark.parametrize("name", ["ditr", "sensor"])
+def test_no_method_takes_the_row_of_another(name):
+    ditr = FakeDitr()
+    with pytest.raises(ValueError, match=f"cannot be called '{name}'"):
+        run_methods([make_sample()], ditr, {name: baselines.raw}, progress=False)
+    assert not ditr.calls
+
+
 def test_stage_one_figures():
     (result,) = run_methods([make_sample()], FakeDitr(), {}, progress=False)
     found = result["stage_one"]
