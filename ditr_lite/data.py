@@ -135,27 +135,43 @@ def read_sample(folder: Path | str) -> Sample:
     """Read a folder that :func:`save_sample` wrote.
 
     Raises:
-        ValueError: when the folder or one of its required files is missing or unreadable.
+        ValueError: when the folder or one of its required files is missing, unreadable or incomplete.
     """
     folder = Path(folder)
-    if not (folder / "meta.json").is_file():
-        raise ValueError(f"no sample in {folder}: expected rgb.jpg, depth.png and meta.json there")
-    meta = json.loads((folder / "meta.json").read_text())
+    camera, stereo, meta = read_meta(folder)
     rgb = np.ascontiguousarray(_image(folder / "rgb.jpg", cv2.IMREAD_COLOR)[..., ::-1])
     depth_gt = folder / "depth_gt.png"
     labels = {k: _image(folder / f"{k}.png", cv2.IMREAD_UNCHANGED) for k in LABELS if (folder / f"{k}.png").is_file()}
-    stereo = meta["stereo"]
     return Sample(
         name=folder.name,
         rgb=rgb,
         depth=_metres(folder / "depth.png"),
         depth_gt=_metres(depth_gt) if depth_gt.is_file() else None,
         region=labels["material"] > OPAQUE if "material" in labels else None,
-        camera=Camera(**meta["camera"]) if meta["camera"] else None,
-        stereo=_stereo(stereo) if stereo else None,
-        meta=meta["meta"],
+        camera=camera,
+        stereo=stereo,
+        meta=meta,
         **labels,
     )
+
+
+def read_meta(folder: Path | str) -> tuple[Camera | None, Stereo | None, dict[str, Any]]:
+    """Return what a sample's ``meta.json`` holds: camera, geometry of the infrared pair, the maker's notes.
+
+    Raises:
+        ValueError: when it is missing, no JSON, or without one of the three.
+    """
+    path = Path(folder) / "meta.json"
+    if not path.is_file():
+        raise ValueError(f"no sample in {folder}: expected rgb.jpg, depth.png and meta.json there")
+    try:
+        held = json.loads(path.read_text())
+        camera, stereo = held["camera"], held["stereo"]
+        return Camera(**camera) if camera else None, _stereo(stereo) if stereo else None, dict(held["meta"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path} should be a JSON object with camera, stereo and meta, as save_sample writes it; got {error!r}"
+        ) from None
 
 
 def list_samples(split: str = "test", root: Path | str | None = None) -> list[str]:

@@ -120,6 +120,25 @@ def test_reading_names_what_is_wrong(tmp_path):
         data.read_sample(folder)
 
 
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("{}", "KeyError.'camera'"),
+        ('{"camera": null,', "JSONDecodeError"),
+        ('{"camera": {"fx": 9}, "stereo": null, "meta": {}}', "missing 5 required"),
+        ('{"camera": null, "stereo": {"camera": null}, "meta": {}}', "KeyError.'rgb_from_left'"),
+        ('{"camera": null, "stereo": null, "meta": 3}', "TypeError"),
+        ("[]", "TypeError"),
+    ],
+)
+def test_a_meta_file_that_is_no_use_is_named(tmp_path, text, found):
+    folder = tmp_path / "test_0001"
+    data.save_sample(make_sample(), folder)
+    (folder / "meta.json").write_text(text)
+    with pytest.raises(ValueError, match=rf"test_0001.meta\.json should be a JSON object.*{found}"):
+        data.read_sample(folder)
+
+
 def test_clean_depth_on_every_kind_of_bad_reading():
     raw = np.array([0.5, np.nan, np.inf, -np.inf, -1.0, 65.535, 0.0, 64.0])
     clean = data.clean_depth(raw)
