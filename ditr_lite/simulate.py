@@ -16,7 +16,7 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from ditr_lite import sensor, sensors
-from ditr_lite.data import OPAQUE, Camera, Sample, Stereo, save_sample
+from ditr_lite.data import OPAQUE, Camera, Sample, Stereo, read_meta, save_sample
 from ditr_lite.loss_types import label
 from ditr_lite.render import load, mitsuba, render, truth
 from ditr_lite.scenes import Scene, Thing, random_scene
@@ -102,7 +102,7 @@ def simulate_many(
 
     Scenes in which nothing transparent or reflective is in view (below 0.5 % of the image), or in which the sensor
     reads less than a quarter of the pixels, are skipped by moving on to the next seed; which those are depends on the
-    seeds alone, so the set is the same however it was made.
+    seeds alone, so the set is the same however it was made. A set holds one sensor's scenes only.
 
     Args:
         root: output folder.
@@ -111,18 +111,19 @@ def simulate_many(
         first_seed: first seed to try.
         workers: processes; one per core is best.
         infrared: how many of the first seeds keep their infrared pair.
-        preset: as in :func:`simulate`; give each sensor a root of its own, for the scenes have the same names.
+        preset: as in :func:`simulate`; each sensor needs a root of its own, for the scenes have the same names.
 
     Raises:
-        ValueError: for an unknown split or sensor, or a count below 1.
+        ValueError: for an unknown split or sensor, a count below 1, or a folder that holds another sensor's scenes.
         ImportError: without Mitsuba.
     """
     if split not in ("train", "val", "test") or count < 1:
         raise ValueError(f"expected a split of train, val, test and a count >= 1, got {split!r} and {count}")
     if preset is not None:
         sensors.preset(preset)
-    mitsuba()
     folder = Path(root) / split
+    _check_sensor(folder, preset)
+    mitsuba()
     folder.mkdir(parents=True, exist_ok=True)
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     seeds = iter(range(first_seed, first_seed + 10 * count + 10))
@@ -142,6 +143,17 @@ def simulate_many(
                     done.append(path)
                     bar.update()
     return sorted(done)
+
+
+def _check_sensor(folder: Path, preset: str | None) -> None:
+    """Raise ValueError where a finished scene was measured by another sensor: it would be taken for one of this set."""
+    for path in sorted(folder.glob(f"{folder.name}_*[0-9]/meta.json")):
+        stored = read_meta(path.parent)[2].get("sensor")  # absent: drawn at random
+        if stored != preset:
+            raise ValueError(
+                f"{path.parent} was measured by {stored or 'a random sensor'}, not {preset or 'a random one'}: "
+                "choose another root"
+            )
 
 
 def _write(folder: Path, split: str, seed: int, infrared: bool, preset: str | None) -> Path | None:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ditr_lite import simulate as simulator
-from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT, read_sample
+from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample, read_sample, save_sample
 from ditr_lite.loss_types import Cause, LossType, label, shadow_width_px
 from ditr_lite.scenes import Scene, Thing, look_at
 from ditr_lite.sensor import Matcher
@@ -135,6 +135,18 @@ def test_many_scenes_resume_and_skip_by_seed_alone(tmp_path, monkeypatch):
     done = len(calls)
     assert simulate_many(tmp_path, "test", count=3) == paths and len(calls) == done  # nothing is rendered twice
     assert len(simulate_many(tmp_path, "test", count=4)) == 4
+
+
+@pytest.mark.parametrize(("stored", "asked"), [(None, "d415"), ("d415", None), ("d415", "l515")])
+def test_scenes_of_another_sensor_are_not_taken_for_ones_own(tmp_path, monkeypatch, stored, asked):
+    monkeypatch.setattr(simulator, "simulate", lambda *_: pytest.fail("rendered"))
+    meta = {"sensor": stored} if stored else {}
+    sample = Sample("x", np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32), meta=meta)
+    save_sample(sample, tmp_path / "test" / "test_00004")
+    with pytest.raises(ValueError, match=f"test_00004 was measured by {stored or 'a random sensor'}, not .*another"):
+        simulate_many(tmp_path, "test", count=1, preset=asked)
+    monkeypatch.setattr(simulator, "ProcessPoolExecutor", InPlace)
+    assert len(simulate_many(tmp_path, "test", count=1, first_seed=4, preset=stored)) == 1
 
 
 class InPlace:
