@@ -4,7 +4,10 @@ A reader looks for file names when made, reads a frame when indexed, holds no op
 process, so ``torch.utils.data.DataLoader`` takes it as it is. Nothing is downloaded.
 """
 
+import json
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,12 +39,16 @@ class FrameFolder:
                 f"unknown split {split!r} of {type(self).__name__}; choose {', '.join((*self.splits, 'None'))}"
             )
         globs = (self.frame,) if isinstance(self.frame, str) else self.frame
-        found = [path for glob in globs for path in self.root.rglob(glob)] if self.root.is_dir() else []
+        found = [path for glob in globs for path in self.find(glob)] if self.root.is_dir() else []
         names = (path.relative_to(self.root).as_posix().removesuffix(self.suffix) for path in found)
         self.names = sorted(name for name in names if split is None or self.in_split(name))
         if not self.names:
             which = f" of split {split!r}" if split else ""
             raise ValueError(f"no {type(self).__name__} frames{which} in {self.root}: expected {self.layout}")
+
+    def find(self, glob: str) -> Iterable[Path]:
+        """Return the files below the root that a glob describes, however deep."""
+        return self.root.rglob(glob)
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -79,7 +86,7 @@ def teachable(sample: Sample) -> dict[str, np.ndarray]:
     ``optical``: inside the region, where the truth is known. ``geometric``: outside it, where the sensor read nothing
     and the truth is known; a reading that is there needs no repair and teaches none. Without truth both are empty.
 
-    Paper: Sec. V-B excludes "the pixels with missing depth from the area to be inpainted" and trains the geometric
+    Paper: Sec. V-C excludes "the pixels with missing depth from the area to be inpainted" and trains the geometric
     branch on STD, because ClearGrasp lacks ground truth outside the masks.
     """
     region = np.zeros(sample.depth.shape, bool) if sample.region is None else sample.region
@@ -98,6 +105,17 @@ def text(path: Path) -> str:
     if not path.is_file():
         raise ValueError(f"no file {path}")
     return path.read_text()
+
+
+def described(path: Path) -> dict[str, Any]:
+    """Return the object that a JSON file holds, or a ValueError that names the file."""
+    try:
+        held = json.loads(text(path))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"cannot read {path} as JSON: {error}") from None
+    if not isinstance(held, dict):
+        raise ValueError(f"{path} should hold a JSON object, got {type(held).__name__}")
+    return held
 
 
 def red(path: Path) -> np.ndarray:

@@ -1,6 +1,6 @@
 """ClearGrasp (Sajjan et al., 2020): transparent plastic objects, real frames and rendered ones.
 
-Paper: Sec. V-A and V-B, Table I.
+Paper: Sec. V-A and V-C, Table I.
 """
 
 import json
@@ -27,8 +27,8 @@ class ClearGrasp(FrameFolder):
     frame, suffix = "*-transparent-depth-img.exr", "-transparent-depth-img.exr"
     splits = ("real-val", "real-test")
     protocol = (
-        "Paper, Sec. V-B: test only, 'real' 286 frames; scores on pixels with ground truth. Training and testing are "
-        "'not differentiated': keep real-test out of whatever you tune."
+        "Paper, Sec. V-C: test only, 286 frames by Sec. V-A; scores on pixels with ground truth. 'We do not "
+        "differentiate the training and testing process': keep real-test out of whatever you tune."
     )
 
     def read(self, name: str, stem: Path) -> Sample:
@@ -58,7 +58,7 @@ class ClearGraspSynthetic(FrameFolder):
     frame, suffix = "depth-imgs-rectified/*-depth-rectified.exr", "-depth-rectified.exr"
     splits = ("train", "val", "test")
     protocol = (
-        "Paper, Sec. V-B: training, 'setting the depth values inside the mask to zero since the simulated training set "
+        "Paper, Sec. V-C: training, 'setting the depth values inside the mask to zero since the simulated training set "
         "only has the ground truth depth values'. Outside the mask nothing is missing, so the geometric branch learns "
         "nothing here; the paper trains it on STD-CatKnown."
     )

@@ -1,6 +1,6 @@
 """STD and DREDS (Dai et al., 2022): diffuse, transparent and specular household objects, real and simulated.
 
-Paper: Sec. V-A and V-B, Table III.
+Paper: Sec. V-A and V-C, Table III.
 """
 
 from pathlib import Path
@@ -28,7 +28,7 @@ class STD(FrameFolder):
     focal = (918.295, 917.544, 1280)  # fx, fy, width of the picture they hold for
     novel = "STD-CatNovel"
     protocol = (
-        "Paper, Sec. V-B: train on STD-CatKnown's 13 training scenes, test on its 12 test scenes and on the 5 of "
+        "Paper, Sec. V-C: train on STD-CatKnown's 13 training scenes, test on its 12 test scenes and on the 5 of "
         "STD-CatNovel; absent ground truth is left out. For ClearGrasp, the geometric branch is trained on ALL of "
         "STD-CatKnown, which is sound as long as no STD score comes from the same weights."
     )
@@ -45,11 +45,8 @@ class STD(FrameFolder):
         rgb = read_rgb(beside(stem, "_color.png"))
         instances = self.instances(beside(stem, self.mask))
         material = np.full(instances.shape, OPAQUE, np.uint8)
-        for line in text(beside(stem, "_meta.txt")).splitlines():
-            words = line.split()
-            if words:  # long rows: id label folder name scale material ..., short ones: id label material
-                code = int(words[5] if len(words) > 5 else words[2])
-                material[instances == int(words[0])] = MATERIALS.get(code, OPAQUE)
+        for instance, code in _materials(beside(stem, "_meta.txt")):
+            material[instances == instance] = MATERIALS.get(code, OPAQUE)
         height, width = rgb.shape[:2]
         fx, fy, wide = self.focal
         zoom = width / wide
@@ -88,3 +85,19 @@ class DREDS(STD):
     def instances(self, path: Path) -> np.ndarray:
         """Return (H, W) instance ids; the file holds id / 255."""
         return np.rint(np.nan_to_num(read_array(path)) * 255).astype(np.uint8)
+
+
+def _materials(path: Path) -> list[tuple[int, int]]:
+    """Return (instance id, code of its material) of every row of a frame's description."""
+    rows = []
+    for number, line in enumerate(text(path).splitlines(), 1):
+        words = line.split()
+        try:
+            if words:
+                rows.append((int(words[0]), int(words[5] if len(words) > 5 else words[2])))
+        except (IndexError, ValueError):
+            raise ValueError(
+                f"{path}, line {number}: expected 'id label folder name scale material ...' or 'id label material', "
+                f"got {line!r}"
+            ) from None
+    return rows

@@ -1,9 +1,10 @@
 """TODD, TROSD and TransCG: real frames of transparent (and reflective) objects under four kinds of camera.
 
-Paper: Sec. V-A, V-B and Table II (TODD), Sec. V-F (TROSD); TransCG, whose size the paper gives for TODD, is added.
+Paper: Sec. V-A, V-C and Table II (TODD), Sec. V-F (TROSD); TransCG, whose size the paper gives for TODD, is added.
 """
 
-import json
+import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from .camera import read_intrinsics
 from .data import OPAQUE, REFLECTIVE, TRANSPARENT, Camera, Sample
 from .files import read_depth, read_mask, read_rgb
-from .readers import FrameFolder, red, text
+from .readers import FrameFolder, described, red
 
 
 class TODD(FrameFolder):
@@ -21,7 +22,7 @@ class TODD(FrameFolder):
     frame, suffix = "depth.exr", "/depth.exr"
     splits = ("train", "val", "test")
     protocol = (
-        "Paper, Sec. V-B: the dataset's own train, val and test. The paper gives its size as 57,715 frames, which is "
+        "Paper, Sec. V-C: the dataset's own train, val and test. The paper gives its size as 57,715 frames, which is "
         "TransCG's; its authors count nearly 15,000."
     )
     ignored = 255
@@ -98,11 +99,17 @@ class TransCG(FrameFolder):
 
     def __init__(self, root: Path | str, split: str | None = None):
         metadata = Path(root) / "metadata.json"
-        self._scenes = json.loads(metadata.read_text()) if metadata.is_file() else {}
+        self._scenes = described(metadata) if metadata.is_file() else {}
         super().__init__(root, split)
-        scenes = {name.split("/")[0] for name in self.names}
-        valid = {scene: json.loads(text(self.root / scene / "metadata.json")) for scene in scenes}
-        self.names = [name for name in self.names if _valid_view(name, valid, self.sensors)]
+        scenes = sorted({name.split("/")[0] for name in self.names})
+        valid = {(scene, k): self._views(scene, sensor) for scene in scenes for k, (sensor, _) in self.sensors.items()}
+        self.names = [name for name in self.names if int(name.split("/")[1]) in valid[name.split("/")[0], name[-1]]]
+        if not self.names:
+            raise ValueError(f"no valid view in {self.root}: none is listed in scene*/metadata.json")
+
+    def find(self, glob: str) -> Iterable[Path]:
+        """Return the files of frames; scenes are numbered folders right in the root, where the metadata is too."""
+        return (p for p in self.root.glob(glob) if re.fullmatch(r"scene\d+/\d+", "/".join(p.parts[-3:-1])))
 
     def in_split(self, name: str) -> bool:
         """Return whether the metadata lists the scene under the split."""
@@ -126,7 +133,10 @@ class TransCG(FrameFolder):
             meta={"dataset": "TransCG", "sensor": sensor},
         )
 
-
-def _valid_view(name: str, valid: dict, sensors: dict) -> bool:
-    scene, view, file = name.split("/")
-    return int(view) in valid[scene][f"{sensors[file[-1]][0]}_valid_perspective_list"]
+    def _views(self, scene: str, sensor: str) -> list[int]:
+        """Return the views of a scene that its metadata calls valid for one camera."""
+        path, key = self.root / scene / "metadata.json", f"{sensor}_valid_perspective_list"
+        views = described(path).get(key)
+        if not isinstance(views, list):
+            raise ValueError(f"{path} should list the views under {key!r}, got {views!r}")
+        return views

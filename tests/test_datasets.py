@@ -211,6 +211,47 @@ def test_transcg_reads_the_camera_it_has(tmp_path):
         datasets.TransCG(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("{}", r"scene1.metadata.json should list the views under 'D435_valid_perspective_list', got None"),
+        ("[]", r"scene1.metadata.json should hold a JSON object, got list"),
+        ("{", r"cannot read .*scene1.metadata.json as JSON"),
+    ],
+)
+def test_transcg_names_metadata_that_is_no_use(tmp_path, text, reason):
+    make_transcg(tmp_path)
+    (tmp_path / "scene1" / "metadata.json").write_text(text)
+    with pytest.raises(ValueError, match=reason):
+        datasets.TransCG(tmp_path)
+
+
+def test_transcg_without_a_valid_view_is_refused(tmp_path):
+    make_transcg(tmp_path)
+    none = {"D435_valid_perspective_list": [], "L515_valid_perspective_list": []}
+    for scene in ("scene1", "scene2"):
+        (tmp_path / scene / "metadata.json").write_text(json.dumps(none))
+    with pytest.raises(ValueError, match=r"no valid view in .*scene\*/metadata.json"):
+        datasets.TransCG(tmp_path)
+
+
+@pytest.mark.parametrize("split", [None, "test"])
+def test_transcg_needs_its_own_root(tmp_path, split):
+    make_transcg(tmp_path / "transcg")
+    with pytest.raises(ValueError, match="no TransCG frames .*expected metadata.json"):
+        datasets.TransCG(tmp_path, split)
+    (tmp_path / "transcg" / "scene1").rename(tmp_path / "transcg" / "scene1_old")
+    assert {name.split("/")[0] for name in datasets.TransCG(tmp_path / "transcg").names} == {"scene2"}
+
+
+@pytest.mark.parametrize("line", ["0 1", "0 1 glass", "a 1 2"])
+def test_a_row_of_std_that_is_no_use_is_named(tmp_path, line):
+    make_std(tmp_path / "train_0")
+    (tmp_path / "train_0" / "0000_meta.txt").write_text(f"1 4 3\n\n{line}\n")
+    with pytest.raises(ValueError, match=f"0000_meta.txt, line 3: expected .*got '{line}'"):
+        datasets.STD(tmp_path)[0]
+
+
 @needs_real
 @pytest.mark.parametrize(
     ("name", "missing", "region", "missing_in_region", "bias_m"),
