@@ -144,7 +144,7 @@ class ResidualBlock(nn.Module):
 class VQAutoencoder(nn.Module):
     """Encode normalised depth into latents of 1 / :attr:`factor` its size, and decode them.
 
-    Paper: Sec. IV-C "Latent Space" and Fig. 5; the paper states neither widths nor blocks. ``paper`` takes latent
+    Paper: Sec. IV-C "Latent Space" and Fig. 6; the paper states neither widths nor blocks. ``paper`` takes latent
     diffusion's sizes (width 128, times 2 and 4 at strides 2 and 4, two blocks a level), ``lite`` fits them to a CPU.
     Erratum: "L = Enc(D_in)" cannot be what the diffusion learns to make; its target is Enc(ground truth).
 

@@ -13,8 +13,9 @@ sampler. What stands in for each, here:
                           region that stage one finds before fine-tuning, joined with the true one, and kept
     composition           m * optical + (1 - m) * (reading, or geometric where there is none)
 
-So the gradient says, pixel by pixel, whether the final depth would gain if the pixel joined the region. How a change of
-the region changes what is painted *elsewhere* is left out.
+So the gradient is a slope: it says, pixel by pixel, whether the final depth would gain if a *little* more of the pixel
+belonged to the region, not whether it would gain if the whole pixel joined. How a change of the region changes what is
+painted *elsewhere* is left out.
 """
 
 from collections.abc import Callable

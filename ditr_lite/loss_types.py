@@ -132,7 +132,7 @@ def shadow_width_px(z_near: float, z_far: float, baseline_m: float, fx: float) -
     A point at depth z moves by ``fx * baseline / z`` pixels between two parallel cameras, so the far side of the edge
     is laid bare over the difference of the two shifts.
 
-    Paper: Sec. III, Fig. 3 (described there in words).
+    Paper: Sec. I, Fig. 3 (described there in words).
 
     Raises:
         ValueError: for depths that are not positive or not in order.
@@ -149,7 +149,7 @@ def reproject(depth_ir: np.ndarray, camera_ir: Camera, camera_rgb: Camera, rgb_f
     finer than the target's pixels, so that a surface seen from the new camera has no lattice holes and grows by no more
     than half a source pixel. Where the new camera sees what the old one did not, nothing lands: the parallax shadow.
 
-    Paper: Sec. III, Fig. 3 (geometric depth loss).
+    Paper: Sec. I, Fig. 3 (geometric depth loss).
 
     Args:
         depth_ir: (h, w) metres in the source view, 0 = missing.
