@@ -26,7 +26,7 @@ from torch import Tensor, nn
 from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.baselines import Fill
 from ditr_lite.boundary import boundary_maps, get_backend
-from ditr_lite.conditioning import CHANNELS, Bounds, condition, depth_bounds, fill, fit, to_tensor
+from ditr_lite.conditioning import CHANNELS, RELAXATIONS, Bounds, condition, depth_bounds, fill, fit, to_tensor
 from ditr_lite.config import Config, from_dict
 from ditr_lite.diffusion import sample
 from ditr_lite.gradient_solve import solve
@@ -36,6 +36,7 @@ from ditr_lite.store import load_part, read_card
 from ditr_lite.unet import DenoisingUNet, norm
 
 WIDTH, LEVELS = 16, 5  # of the U-Nets at pixel size
+HOLES = RELAXATIONS["geometric"]  # peers know no region: to them everything unread is a hole
 TYPICAL_M = 0.7  # rgb_only begins here
 NETS = {  # name -> channels in and out
     "regression": (5, 1),
@@ -106,7 +107,7 @@ def predicted_depth(name: str, out: Tensor, depth_n: Tensor, valid: Tensor) -> T
         depth_n: (B, 1, H, W) raw.
         valid: (B, 1, H, W) 0/1.
     """
-    filled = fill(depth_n, valid)
+    filled = fill(depth_n, valid, HOLES)
     if name == "regression":
         return filled + out
     own, *confidences = out.split(1, dim=1)
@@ -116,7 +117,7 @@ def predicted_depth(name: str, out: Tensor, depth_n: Tensor, valid: Tensor) -> T
 
 def single_latent_input(rgb: Tensor, depth_n: Tensor, valid: Tensor, guide: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return what the single denoiser is given: all readings as known depth, no region (see ``condition``)."""
-    return condition(rgb, depth_n, valid, torch.zeros_like(valid), guide, evidence=False)
+    return condition(rgb, depth_n, valid, torch.zeros_like(valid), guide, evidence=False, relaxations=HOLES)
 
 
 class Peer:
