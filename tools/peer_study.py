@@ -44,7 +44,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2, help="frames at a time (%(default)s)")
     parser.add_argument("--json", type=Path, default=peer_study.RESULTS)
     args = parser.parse_args()
-    peer_study.methods(dl.Ditr.from_pretrained(), args.peers)  # a worker that lacked weights would be restarted for ever
+    peer_study.methods(dl.Ditr.from_pretrained(), args.peers)  # a worker without weights would be restarted for ever
     names, scores = dl.list_samples(args.split)[: args.limit], {}
     threads = max(1, torch.get_num_threads() // args.workers)
     with multiprocessing.get_context("spawn").Pool(args.workers, begin, (args.peers, threads)) as pool:
