@@ -7,6 +7,8 @@ import numpy as np
 from .data import Camera
 from .files import check_depth, read_array, written_whole
 
+KEYS = ("fx", "fy", "cx", "cy", "xres", "yres")
+
 
 def read_intrinsics(path: Path | str, size: tuple[int, int] | None = None) -> Camera:
     """Read a pinhole camera.
@@ -16,7 +18,8 @@ def read_intrinsics(path: Path | str, size: tuple[int, int] | None = None) -> Ca
         size: (height, width) of the picture; needed where the file does not say it, checked where it does.
 
     Raises:
-        ValueError: for a file of another kind, an unknown or contradictory size, or a focal length <= 0.
+        ValueError: for a file of another kind, an unknown or contradictory size, a number that is not finite, or a
+            focal length <= 0.
     """
     path = Path(path)
     if not path.is_file():
@@ -25,6 +28,9 @@ def read_intrinsics(path: Path | str, size: tuple[int, int] | None = None) -> Ca
     missing = {"fx", "fy", "cx", "cy"} - set(values)
     if missing:
         raise ValueError(f"{path} lacks {', '.join(sorted(missing))}: expected fx, fy, cx and cy in pixels")
+    wrong = [f"{key} {values[key]}" for key in KEYS if not np.isfinite(values.get(key, 0))]
+    if wrong:
+        raise ValueError(f"{path} should hold finite numbers, got {', '.join(wrong)}")
     if not (values["fx"] > 0 and values["fy"] > 0):
         raise ValueError(f"{path} should have positive focal lengths, got fx {values['fx']}, fy {values['fy']}")
     own = (int(values["yres"]), int(values["xres"])) if {"xres", "yres"} <= set(values) else None
@@ -97,10 +103,18 @@ def _yaml(path: Path) -> dict[str, float]:
 
 def _matrix(path: Path) -> dict[str, float]:
     try:
-        text = "" if path.suffix == ".npy" else path.read_text().replace(",", " ")
-        k = np.loadtxt(text.splitlines()) if text else read_array(path)
+        k = read_array(path) if path.suffix == ".npy" else np.loadtxt(_rows(path))
     except ValueError as error:
         raise ValueError(f"cannot read {path} as a 3x3 camera matrix: {error}") from None
     if k.shape != (3, 3) or not np.allclose(k[2], [0, 0, 1]):
         raise ValueError(f"{path} should hold a 3x3 camera matrix with last row 0 0 1, got shape {k.shape}")
     return {"fx": float(k[0, 0]), "fy": float(k[1, 1]), "cx": float(k[0, 2]), "cy": float(k[1, 2])}
+
+
+def _rows(path: Path) -> list[str]:
+    """Return the lines of a file of numbers, without commas and comments."""
+    lines = (line.partition("#")[0].replace(",", " ").strip() for line in path.read_text().splitlines())
+    rows = [line for line in lines if line]
+    if not rows:  # NumPy would warn and return an empty array
+        raise ValueError("it holds no numbers")
+    return rows

@@ -90,7 +90,11 @@ def test_intrinsics_from_yaml_matrix_and_array(tmp_path):
         ("k.txt", "92 0 7\n0 88 6\n", (12, 16), "3x3 camera matrix"),
         ("k.txt", "92 0 7\n0 88 6\n0 0 7\n", (12, 16), "last row 0 0 1"),
         ("k.txt", "hello", (12, 16), "cannot read"),
-        ("k.txt", "", (12, 16), "3x3 camera matrix"),
+        ("k.txt", "", (12, 16), "3x3 camera matrix: it holds no numbers"),
+        ("k.txt", "# fx 0 cx\n\n", (12, 16), "it holds no numbers"),
+        ("k.txt", "92 0 nan\n0 inf 6\n0 0 1\n", (12, 16), "finite numbers, got fy inf, cx nan"),
+        ("a.yaml", YAML.replace("fx: 92", "fx: nan"), None, "finite numbers, got fx nan"),
+        ("a.yaml", YAML.replace("xres: 16", "xres: inf"), None, "finite numbers, got xres inf"),
     ],
 )
 @pytest.mark.filterwarnings("error")
