@@ -59,6 +59,9 @@ __all__ = [
 ]
 
 
+TALLEST_IN = 6.0  # a panel, however narrow its picture
+
+
 class Panel(NamedTuple):
     """One panel of a grid: ``kind`` is rgb, depth, error, signed or spread; error kinds take a predicted depth map."""
 
@@ -97,7 +100,8 @@ def grid(
     width = min(WIDTH_IN, 3.2 * columns)
     height, wide = panels[0].array.shape[:2]
     legend = 0.2 * isinstance(region, Mapping)  # inches for the names of the outlines
-    figure = Picture(width, len(rows) * (0.92 * width / columns * height / wide + 0.45 + legend))
+    tall = min(0.92 * width / columns * height / wide, TALLEST_IN)
+    figure = Picture(width, len(rows) * (tall + 0.45 + legend))
     axes = figure.subplots(len(rows), columns, squeeze=False)
     draw = {
         "rgb": lambda ax, p: rgb(ax, p.array, region, p.title),

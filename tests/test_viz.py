@@ -229,6 +229,15 @@ def test_save_panel_writes_a_png_whole_or_not_at_all(tmp_path, sample):
     assert path.read_bytes() != before
 
 
+def test_a_strip_makes_no_endless_picture(tmp_path):
+    strip = np.full((2000, 4), 0.5, np.float32)
+    rgb_, region = np.zeros((2000, 4, 3), np.uint8), strip > 0
+    region[:1000] = False
+    viz.save_panel(tmp_path / "p.png", rgb_, strip, strip, region, 0.01 * strip)
+    height, width = cv2.imread(str(tmp_path / "p.png")).shape[:2]
+    assert width == 960 and height <= panels.DPI * (viz.TALLEST_IN + 0.5)
+
+
 def test_what_cannot_be_drawn_is_refused(ax, sample):
     cases = [
         (lambda: viz.depth(ax, (sample.depth * 1000).astype(np.uint16)), "floating-point metres"),
