@@ -28,7 +28,8 @@ def committed() -> dict:
     return json.loads(RESULTS.read_text(encoding="utf-8"))
 
 
-def _pooled(method: str, pixels: str = "optical") -> float:
+def _mean_rmse_mm(method: str, pixels: str = "optical") -> float:
+    """Return the committed RMSE, the mean over images, in millimetres."""
     return 1000 * committed()["summary"]["methods"][method][pixels]["rmse"]
 
 
@@ -154,12 +155,12 @@ def base_rate() -> str:
 def in_region_evidence() -> str:
     """Sec. IV-A: what the readings inside the region are worth."""
     names = ("harmonic", "keep_and_fill", "keep_and_fill_debiased")
-    return "optical RMSE of simple fills, mm: " + ", ".join(f"{name} {_pooled(name):.0f}" for name in names)
+    return "optical RMSE of simple fills, mm: " + ", ".join(f"{name} {_mean_rmse_mm(name):.0f}" for name in names)
 
 
 def latent_target() -> str:
     """Sec. IV-C: what a diffusion that ends at Enc(D_in) would at best return."""
-    return f"a perfect Dec(Enc(D_in)) returns D_in, {_pooled('sensor'):.0f} mm off where the region was read"
+    return f"a perfect Dec(Enc(D_in)) returns D_in, {_mean_rmse_mm('sensor'):.0f} mm off where the region was read"
 
 
 def attention() -> str:
