@@ -75,13 +75,13 @@ def ratio_bootstrap(
     """Return (mean of a / mean of b, low, high), 95 %, resampling images and keeping each image's two scores together.
 
     Raises:
-        ValueError: for lists of different length, without a common image, or a mean of 0 in ``b``.
+        ValueError: for lists of different length, without a common image, a mean of 0 in ``b``, or n below 1.
     """
     if len(a) != len(b):
         raise ValueError(f"a and b should score the same images, got {len(a)} and {len(b)} values")
     pairs = np.array([(x, y) for x, y in zip(a, b, strict=True) if x is not None and y is not None], np.float64)
-    if not pairs.size or not pairs[:, 1].mean() > 0:
-        raise ValueError(f"expected common images with positive scores in b, got {len(pairs)} common images")
+    if not pairs.size or not pairs[:, 1].mean() > 0 or n < 1:
+        raise ValueError(f"expected common images, positive scores in b, and n >= 1; got {len(pairs)} images, n = {n}")
     picks = np.random.default_rng(seed).integers(0, len(pairs), size=(n, len(pairs)))
     over, under = pairs[picks].mean(axis=1).T  # (n, images, 2) -> (n, 2)
     low, high = np.percentile(over / under, [2.5, 97.5])

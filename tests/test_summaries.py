@@ -100,5 +100,7 @@ def test_a_ratio_of_means_keeps_pairs_together():
     assert high - low == pytest.approx(2 * 1.96 * values.std() / math.sqrt(400), rel=0.1)
     with pytest.raises(ValueError, match="common images"):
         summaries.ratio_bootstrap([None], [1.0])
+    with pytest.raises(ValueError, match="n >= 1; got 1 images, n = 0"):
+        summaries.ratio_bootstrap([1.0], [1.0], n=0)
     with pytest.raises(ValueError, match="same images"):
         summaries.ratio_bootstrap([1.0], [1.0, 2.0])
