@@ -212,7 +212,7 @@ def load(path: Path | str | None = None) -> SamBoundary:
     if kind != "sam":
         raise ValueError(f"{folder / 'config.json'} describes model_type {kind!r}, expected 'sam': {WHERE}")
     if importlib.util.find_spec("transformers") is None:
-        raise ImportError("the backend 'sam' needs transformers: pip install 'ditr-lite[sam]'")
+        raise ImportError("the backend 'sam' needs transformers: pip install -e '.[sam]'")
     from transformers import SamModel
 
     try:

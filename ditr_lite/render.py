@@ -25,7 +25,7 @@ def mitsuba() -> Any:
     try:
         import mitsuba as mi
     except ImportError:
-        raise ImportError("rendering needs Mitsuba 3, an optional extra: pip install 'mitsuba>=3.5'") from None
+        raise ImportError("rendering needs Mitsuba 3, an optional extra: pip install -e '.[simulate]'") from None
     if mi.variant() != "scalar_rgb":
         mi.set_variant("scalar_rgb")
         mi.set_log_level(mi.LogLevel.Error)

@@ -34,7 +34,7 @@ def library_unet(channels_in: int, channels_out: int, width: int, levels: int, h
         ImportError: without diffusers.
     """
     if importlib.util.find_spec("diffusers") is None:
-        raise ImportError("the yardstick needs diffusers: pip install 'ditr-lite[dev]'")
+        raise ImportError("the yardstick needs diffusers: pip install -e '.[dev]'")
     from diffusers import UNet2DModel
 
     down = ["AttnDownBlock2D" if k >= heads_at else "DownBlock2D" for k in range(levels)]

@@ -64,7 +64,7 @@ def test_without_mitsuba_the_error_says_what_to_install(monkeypatch):
         return real(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", absent)
-    with pytest.raises(ImportError, match="pip install 'mitsuba"):
+    with pytest.raises(ImportError, match=r"pip install -e '\.\[simulate\]'"):
         mitsuba()
     from ditr_lite.simulate import simulate
 
