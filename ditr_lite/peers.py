@@ -26,7 +26,7 @@ from torch import Tensor, nn
 from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.baselines import Fill
 from ditr_lite.boundary import boundary_maps, get_backend
-from ditr_lite.conditioning import CHANNELS, RELAXATIONS, Bounds, condition, depth_bounds, fill, fit, to_tensor
+from ditr_lite.conditioning import CHANNELS, Bounds, condition, depth_bounds, fill, fit, to_tensor
 from ditr_lite.config import Config, from_dict
 from ditr_lite.diffusion import sample
 from ditr_lite.gradient_solve import solve
@@ -36,7 +36,6 @@ from ditr_lite.store import load_part, read_card
 from ditr_lite.unet import DenoisingUNet, norm
 
 WIDTH, LEVELS = 16, 5  # of the U-Nets at pixel size
-HOLES = RELAXATIONS["geometric"]  # peers know no region: to them everything unread is a hole
 TYPICAL_M = 0.7  # rgb_only begins here
 NETS = {  # name -> channels in and out
     "regression": (5, 1),
@@ -99,15 +98,20 @@ def network_input(name: str, rgb: Tensor, depth_n: Tensor, valid: Tensor) -> Ten
 
 
 def predicted_depth(name: str, out: Tensor, depth_n: Tensor, valid: Tensor) -> Tensor:
-    """Turn the output of a peer into normalised depth (B, 1, H, W); ``rgb_only``'s is log(depth / 0.7 m).
+    """Turn the output of a peer that predicts normalised depth into that depth (B, 1, H, W).
 
     Args:
         name: ``regression`` or ``two_stream_confidence``.
         out: (B, C, H, W) of the network.
         depth_n: (B, 1, H, W) raw.
         valid: (B, 1, H, W) 0/1.
+
+    Raises:
+        ValueError: for a peer that predicts something else.
     """
-    filled = fill(depth_n, valid, HOLES)
+    if name not in ("regression", "two_stream_confidence"):
+        raise ValueError(f"expected regression or two_stream_confidence, got {name!r}, which predicts something else")
+    filled = fill(depth_n, valid)
     if name == "regression":
         return filled + out
     own, *confidences = out.split(1, dim=1)
@@ -117,7 +121,7 @@ def predicted_depth(name: str, out: Tensor, depth_n: Tensor, valid: Tensor) -> T
 
 def single_latent_input(rgb: Tensor, depth_n: Tensor, valid: Tensor, guide: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return what the single denoiser is given: all readings as known depth, no region (see ``condition``)."""
-    return condition(rgb, depth_n, valid, torch.zeros_like(valid), guide, evidence=False, relaxations=HOLES)
+    return condition(rgb, depth_n, valid, torch.zeros_like(valid), guide, evidence=False)
 
 
 class Peer:
