@@ -20,7 +20,11 @@ from ditr_lite.store import write_tensors
 
 @dataclass(frozen=True)
 class Recipe:
-    """How long and how fast one part trains."""
+    """How long and how fast one part trains.
+
+    Raises:
+        ValueError: for no step, no frame, or a negative or infinite rate.
+    """
 
     steps: int
     batch: int
@@ -28,6 +32,12 @@ class Recipe:
     warmup: int = 100
     decay: float = 0.995  # of the moving average of the weights
     weight_decay: float = 1e-4
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or self.batch < 1:
+            raise ValueError(f"expected at least 1 step and 1 frame a step, got {self.steps} steps, batch {self.batch}")
+        if not 0 <= self.lr < float("inf"):  # at 0 only running statistics move; NaN fails too
+            raise ValueError(f"expected a finite learning rate of at least 0, got {self.lr}")
 
 
 def learning_rate(step: int, recipe: Recipe) -> float:

@@ -25,6 +25,15 @@ def test_learning_rate_law():
     assert learning_rate(1100, recipe) == pytest.approx(0.02)
 
 
+@pytest.mark.parametrize(
+    "wrong", [{"steps": 0}, {"steps": -5}, {"batch": 0}, {"lr": -1e-3}, {"lr": float("nan")}, {"lr": float("inf")}]
+)
+def test_a_recipe_without_sense_is_refused(wrong):
+    with pytest.raises(ValueError, match="expected .* at least"):
+        replace(RECIPE, **wrong)
+    assert replace(RECIPE, lr=0.0).lr == 0
+
+
 # --- moving average ---------------------------------------------------------------------------------------------------
 
 
