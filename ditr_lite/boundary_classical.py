@@ -30,6 +30,11 @@ class ClassicalBoundary:
         self.low, self.high, self.jump, self.slope = low, high, jump, slope
         self.max_hole, self.min_length = max_hole, min_length
 
+    @property
+    def fingerprint(self) -> str:
+        """Settings that the maps depend on, for caches."""
+        return repr(sorted(vars(self).items()))
+
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Return the (H, W) bool boundary map of an image or of a depth map.
 

@@ -1,6 +1,8 @@
 """Rendered scenes as arrays in memory, and the batches that training draws from them."""
 
 import hashlib
+import zipfile
+import zlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,13 +56,18 @@ def load_scenes(
         cache: file in which the maps are kept; by default one beside the folder.
 
     Raises:
-        ValueError: when there is no scene.
+        ValueError: when there is no scene, or one without ground truth or material, or for a limit below 1.
     """
+    if limit is not None and limit < 1:
+        raise ValueError(f"the limit (--limit) should be at least 1 scene, got {limit}")
     folder = Path(folder)
     paths = sorted(p.parent for p in folder.glob("*/meta.json") if not p.parent.name.endswith(".part"))[:limit]
     if not paths:
         raise ValueError(f"no scenes in {folder}: make them with `make samples` or `python -m ditr_lite simulate`")
     samples = [read_sample(p) for p in tqdm(paths, desc="reading scenes", unit="scene", leave=False)]
+    for s in samples:
+        if missing := [name for name in ("depth_gt", "material") if getattr(s, name) is None]:
+            raise ValueError(f"{folder / s.name} has no {' and no '.join(missing)}, which training needs")
     millimetres = [[np.rint(d * 1000).astype(np.uint16) for d in (s.depth, s.depth_gt)] for s in samples]
     guides = None
     if boundary is not None:
@@ -99,13 +106,20 @@ def first(scenes: Scenes, count: int | None) -> Scenes:
     return Scenes(names=scenes.names[:count], **maps)
 
 
+def checksum(scenes: Scenes) -> str:
+    """Return the SHA-256 of all that a network can see of the scenes, and of their names."""
+    digest = hashlib.sha256("\n".join(scenes.names).encode())
+    for name in (*MAPS, "guides"):
+        if (maps := getattr(scenes, name)) is not None:
+            digest.update(f"{name} {maps.shape}".encode())
+            digest.update(np.ascontiguousarray(maps).ravel())
+    return digest.hexdigest()
+
+
 def _guides(paths: list[Path], boundary: str, store: Path) -> np.ndarray:
     backend = get_backend(boundary)
     keys = {p: _content(p, getattr(backend, "fingerprint", "")) for p in paths}
-    known = {}
-    if store.is_file():
-        with np.load(store) as saved:
-            known = {name: bits for name, bits in zip(saved["names"], saved["bits"], strict=True)}
+    known = _cached(store)
     missing = [p for p in paths if keys[p] not in known]
     if missing:
         with ThreadPoolExecutor(2) as pool:  # no processes: forked after torch has run they would wait for ever
@@ -113,9 +127,20 @@ def _guides(paths: list[Path], boundary: str, store: Path) -> np.ndarray:
             for path, bits in zip(missing, tqdm(jobs, total=len(missing), desc="boundary maps"), strict=True):
                 known[keys[path]] = bits
         with written_whole(store) as part, open(part, "wb") as file:
-            np.savez_compressed(file, names=np.array(list(known)), bits=np.stack(list(known.values())))
-    shape = read_sample(paths[0]).depth.shape
-    return np.stack([np.unpackbits(known[keys[p]]).reshape(2, *shape) for p in paths])
+            wanted = list(dict.fromkeys(keys.values()))  # maps of older pictures may be of another size
+            np.savez_compressed(file, names=np.array(wanted), bits=np.stack([known[key] for key in wanted]))
+    height, width = read_sample(paths[0]).depth.shape
+    count = 2 * height * width  # the last byte may be filled up
+    return np.stack([np.unpackbits(known[keys[p]], count=count).reshape(2, height, width) for p in paths])
+
+
+def _cached(store: Path) -> dict[str, np.ndarray]:
+    """Return the packed maps of a cache by key: none from one that is absent or damaged."""
+    try:
+        with np.load(store) as saved:
+            return dict(zip(saved["names"].tolist(), saved["bits"], strict=True))
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error):  # computed anew, then replaced
+        return {}
 
 
 def _content(path: Path, fingerprint: str) -> str:

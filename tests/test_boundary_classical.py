@@ -61,6 +61,13 @@ def test_a_jump_across_a_wide_hole_says_nothing():
     assert ClassicalBoundary(max_hole=30)(depth)[:, 29].all()
 
 
+def test_the_fingerprint_tells_settings_apart():
+    plain = ClassicalBoundary().fingerprint
+    assert plain == ClassicalBoundary(low=3.0).fingerprint
+    changed = {"low": 2.0, "high": 9.0, "jump": 0.03, "slope": 0.02, "max_hole": 25, "min_length": 9}
+    assert len({plain, *(ClassicalBoundary(**{k: v}).fingerprint for k, v in changed.items())}) == 7
+
+
 def test_scattered_missing_pixels_and_noise_hardly_matter():
     rng = np.random.default_rng(0)
     depth = with_box(plane()) * rng.normal(1, 0.002, (60, 80)).astype(np.float32)

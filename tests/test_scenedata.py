@@ -1,4 +1,4 @@
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ import torch
 from ditr_lite import scenedata
 from ditr_lite.boundary import boundary_maps, get_backend
 from ditr_lite.conditioning import depth_bounds
-from ditr_lite.data import SAMPLES, read_sample
+from ditr_lite.data import SAMPLES, Sample, read_sample, save_sample
 from ditr_lite.scenedata import Batch, draw, draw_each, load_scenes
 
 VAL = SAMPLES / "val"
@@ -59,6 +59,62 @@ def test_maps_of_other_weights_are_not_taken_from_the_cache(tmp_path, monkeypatc
         monkeypatch.setattr(scenedata, "get_backend", lambda name, made=made: made)
         guides = load_scenes(VAL, 1, "learned", tmp_path / "maps.npz").guides
         assert guides.all() == answer and guides.any() == answer
+
+
+def small(folder, shape, count=2):
+    """Write scenes of (H, W) pixels, cut from a shipped one."""
+    full, (height, width) = read_sample(VAL / "val_00000"), shape
+    for k in range(count):
+        keys = ("rgb", "depth", "depth_gt", "material")
+        maps = {key: getattr(full, key)[k : height + k, :width].copy() for key in keys}
+        save_sample(Sample(f"s_{k}", **maps), folder / f"s_{k}")
+
+
+def test_a_size_that_fills_no_whole_byte_and_scenes_rendered_again_at_another(tmp_path):
+    for shape in ((95, 127), (64, 96)):
+        small(tmp_path / "scenes", shape)
+        scenes = load_scenes(tmp_path / "scenes", boundary="classical", cache=tmp_path / "maps.npz")
+        metres = scenes.depth[1].astype(np.float32) / 1000
+        m_rgb, _, m_da = boundary_maps(scenes.rgb[1], metres, get_backend("classical"))
+        assert scenes.guides.shape == (2, 2, *shape) and np.array_equal(scenes.guides[1], [m_rgb, m_da])
+    assert len(np.load(tmp_path / "maps.npz")["names"]) == 2  # maps of the pictures that are gone are gone
+
+
+def test_a_damaged_cache_is_computed_anew(tmp_path):
+    small(tmp_path / "scenes", (64, 96), 1)
+    cache = tmp_path / "maps.npz"
+    guides = load_scenes(tmp_path / "scenes", boundary="classical", cache=cache).guides
+    whole = cache.read_bytes()
+    for damaged in (b"", b"no archive", whole[: len(whole) // 2], whole[:60] + b"\0" * 60 + whole[120:]):
+        cache.write_bytes(damaged)
+        again = load_scenes(tmp_path / "scenes", boundary="classical", cache=cache).guides
+        assert np.array_equal(again, guides) and cache.read_bytes() == whole
+
+
+@pytest.mark.parametrize("key", ["depth_gt", "material"])
+def test_a_scene_without_truth_is_named(tmp_path, key):
+    full = read_sample(VAL / "val_00000")
+    save_sample(replace(full, name="s_0"), tmp_path / "s_0")
+    save_sample(replace(full, name="s_1", **{key: None}), tmp_path / "s_1")
+    with pytest.raises(ValueError, match=f"s_1 has no {key}"):
+        load_scenes(tmp_path)
+
+
+@pytest.mark.parametrize("limit", [0, -3])
+def test_a_limit_below_one_is_refused(limit):
+    with pytest.raises(ValueError, match=r"--limit\) should be at least 1"):
+        load_scenes(VAL, limit)
+
+
+def test_a_checksum_is_of_every_map_and_name(scenes):
+    plain = scenedata.checksum(scenes)
+    assert scenedata.checksum(scenedata.first(scenes, None)) == plain
+    others = [replace(scenes, guides=None), replace(scenes, names=["a", "b"]), scenedata.first(scenes, 1)]
+    for key in scenedata.MAPS:
+        maps = getattr(scenes, key).copy()
+        maps[1, -1, -1] += 1
+        others.append(replace(scenes, **{key: maps}))
+    assert len({plain, *map(scenedata.checksum, others)}) == len(others) + 1
 
 
 def test_a_folder_without_scenes_is_refused(tmp_path):
