@@ -1,5 +1,6 @@
 """Train the two networks of the ``learned`` boundary backend on the exact outlines of rendered scenes."""
 
+import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,7 +17,7 @@ from ditr_lite.boundary_learned import begin_with_stage_one, build, depth_image,
 from ditr_lite.boundary_scoring import true_maps
 from ditr_lite.config import from_dict, preset
 from ditr_lite.data import read_sample
-from ditr_lite.scenedata import Scenes, draw, load_scenes
+from ditr_lite.scenedata import Scenes, checksum, draw, load_scenes
 from ditr_lite.store import CARD, load_part, read_card, save_part
 from ditr_lite.training import Recipe, fit
 
@@ -124,18 +125,23 @@ def train_boundary(
 
     Returns:
         the entry of the card.
+
+    Raises:
+        ValueError: for no scenes, or a checkpoint of another run in ``work``.
     """
     out = Path(out)
     scenes, held_out = (with_outlines(load_scenes(f, n), f) for f, n in ((data, limit), (val, VALIDATE)))
     torch.manual_seed(seed)
     nets, notes, thresholds = build().to(memory_format=torch.channels_last), {}, []
+    key = [checksum(scenes)]
     if (out / "region.safetensors").is_file():
         begin_with_stage_one(nets, load_part("region", out))
+        key.append(read_card(out)["parts"]["region"]["sha256"])
     colour = replace(RECIPE, **changes)
     depth = replace(colour, steps=max(1, round(colour.steps * DEPTH_SHARE)))
     for channel, (mode, recipe) in enumerate((("rgb", colour), ("depth", depth))):
         step = boundary_step(mode, nets[mode], scenes, recipe, seed)
-        notes[mode] = fit(f"boundary-{mode}", nets[mode], step, recipe, work, every=100, seed=seed)
+        notes[mode] = fit(f"boundary-{mode}", nets[mode], step, recipe, work, every=100, seed=seed, key=json.dumps(key))
         found = probabilities(mode, nets[mode].eval(), held_out)
         cut, score = best_threshold(found, [g[channel] > 0 for g in held_out.guides])
         notes[mode] |= {"recipe": vars(recipe), "threshold": cut, "val_f": round(score, 4)}

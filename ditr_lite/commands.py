@@ -126,7 +126,7 @@ def train(args: Namespace) -> None:
     from dataclasses import replace
 
     from ditr_lite import fitting
-    from ditr_lite.config import override, preset
+    from ditr_lite.config import folder_name, override, preset
     from ditr_lite.recipes import RECIPES
     from ditr_lite.store import WEIGHTS
 
@@ -140,7 +140,7 @@ def train(args: Namespace) -> None:
     args.data = args.data or Path("outputs/scenes/train")
     _check_scenes(args)
     # Only the plain lite preset goes where the shipped weights and their checkpoints are.
-    tag = args.preset + ("-changed" if args.set else "")
+    tag = "-".join([args.preset, *([folder_name(settings)] if settings else [])])
     out = args.out or (WEIGHTS if tag == "lite" else Path("outputs/weights") / tag)
     work = args.work or (Path("outputs/training") if tag == "lite" else Path("outputs/training") / tag)
     for part in fitting.PARTS if args.part == "all" else [args.part]:

@@ -4,6 +4,7 @@
 what the paper states (Sec. IV and V-B) wherever it states something.
 """
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
@@ -168,6 +169,11 @@ def override(config: Config, **settings: Any) -> Config:
     for key, value in settings.items():
         config = _override(config, key.split("."), value, key)
     return config
+
+
+def folder_name(settings: Mapping[str, Any]) -> str:
+    """Return settings as the name of a folder, e.g. ``unet.width=48,size=96,128``."""
+    return ",".join(f"{key}={value}" for key, value in settings.items()).replace(" ", "").replace("/", "-")
 
 
 def _override(node: Any, path: list[str], value: Any, key: str) -> Any:

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from ditr_lite.config import Config, override, preset, to_dict
+from ditr_lite.config import Config, folder_name, override, preset, to_dict
 from ditr_lite.data import SAMPLES, read_sample
 from ditr_lite.evaluation import DITR, run_methods
 from ditr_lite.fitting import PARTS, train_on
 from ditr_lite.pipeline import Ditr
-from ditr_lite.scenedata import MAPS, Scenes, first, join, load_scenes, shrink
+from ditr_lite.scenedata import Scenes, checksum, first, join, load_scenes, shrink
 from ditr_lite.store import CARD, load_part, read_card, save_part
 from ditr_lite.summaries import paired_bootstrap
 from ditr_lite.training import Recipe
@@ -96,13 +96,13 @@ def compare(
     if steps is not None:
         recipes = {part: replace(recipe, steps=steps) for part, recipe in recipes.items()}
     home = Path(folder) / "tiny"
-    name = ",".join(f"{key}={value}" for key, value in settings.items()).replace(" ", "").replace("/", "-")
-    paths = {"default": home / "default", "changed": Path(out) if out else home / name}
+    names = {"default": "default", "changed": folder_name(settings)}
+    paths = {"default": home / "default", "changed": Path(out) if out else home / names["changed"]}
     found = any(key.split(".")[0] in STAGE_ONE for key in settings)
-    names = [p.parent.name for p in sorted(Path(val).glob("*/meta.json"))][:frames]
-    if not names:
+    scored = [p.parent for p in sorted(Path(val).glob("*/meta.json"))][:frames]
+    if not scored:
         raise ValueError(f"no scenes in {val} to score on: make them with `python -m ditr_lite simulate`")
-    samples = [read_sample(Path(val) / n) for n in names]
+    samples = [read_sample(path) for path in scored]
     homes = [SAMPLES / "train"] + ([Path(data)] if data else [])
     scenes = {
         size: first(join([shrink(load_scenes(home, limit), size, boundary) for home in homes]), limit)
@@ -115,11 +115,11 @@ def compare(
             start = None if arm == "default" else (paths["default"], trained)
             own = arm == "default" or out is None
             seconds[arm] = train_arm(
-                given, scenes[given.size], paths[arm], spare / arm, recipes, seed, boundary, start, own
+                given, scenes[given.size], paths[arm], spare / names[arm], recipes, seed, boundary, start, own
             )
     for arm, path in paths.items():
-        scored = run_methods(samples, Ditr.from_pretrained(path=path), {}, given_region=not found)
-        rmse[arm] = {k: [(s := r["methods"][DITR][k]) and s["rmse"] for r in scored] for k in SCORED}
+        rows = run_methods(samples, Ditr.from_pretrained(path=path), {}, given_region=not found)
+        rmse[arm] = {k: [(s := r["methods"][DITR][k]) and s["rmse"] for r in rows] for k in SCORED}
     return {
         "settings": {key: str(value) for key, value in settings.items()},
         "trained": list(trained),
@@ -223,10 +223,9 @@ def _interval(a: Sequence[float | None], b: Sequence[float | None]) -> list[floa
 
 def _key(config: Config, scenes: Scenes, recipes: Mapping[str, Recipe], *others: Any) -> str:
     """Return a checksum of all that an arm depends on: sizes, recipes, pictures, and the code itself."""
-    plain = [to_dict(config), {part: asdict(r) for part, r in recipes.items()}, others, torch.__version__]
+    rates = {part: asdict(r) for part, r in recipes.items()}
+    plain = [to_dict(config), rates, checksum(scenes), others, torch.__version__]
     digest = hashlib.sha256(json.dumps(plain).encode())
-    for name in (*MAPS, "guides"):
-        digest.update(np.ascontiguousarray(getattr(scenes, name)).tobytes())
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.read_bytes())
     return digest.hexdigest()

@@ -1,5 +1,6 @@
 """Train one part from start to shipped file: load scenes, run its recipe, validate, save weights and card."""
 
+import json
 import sys
 from functools import partial
 from pathlib import Path
@@ -11,16 +12,17 @@ from torch import nn
 
 from ditr_lite import recipes
 from ditr_lite.conditioning import fill
-from ditr_lite.config import Config, from_dict
+from ditr_lite.config import Config, from_dict, to_dict
 from ditr_lite.metrics import iou
 from ditr_lite.pipeline import build
 from ditr_lite.region import region_probability
-from ditr_lite.scenedata import Scenes, load_scenes
+from ditr_lite.scenedata import Scenes, checksum, load_scenes
 from ditr_lite.schedule import make_schedule
 from ditr_lite.store import CARD, load_part, read_card, save_part
 from ditr_lite.training import Recipe, fit
 
 PARTS = ("autoencoder", "region", "optical", "geometric", "detail")  # in the order in which they need each other
+NEEDS = {"optical": ["autoencoder"], "geometric": ["autoencoder"], "detail": list(PARTS[:4])}
 
 
 def train(
@@ -55,8 +57,8 @@ def train(
         the entry of the card: command, recipe, scenes, seconds, curve.
 
     Raises:
-        ValueError: for an unknown part, no scenes, a missing part that this one needs, or weights of another
-            configuration in ``out``: one folder holds one system.
+        ValueError: for an unknown part, no scenes, a missing part that this one needs, weights of another
+            configuration in ``out``: one folder holds one system; or a checkpoint of another run in ``work``.
     """
     if part not in PARTS:
         raise ValueError(f"unknown part {part!r}; choose one of {', '.join(PARTS)}")
@@ -96,11 +98,14 @@ def train_on(
         recipe: steps, batch, rate.
         seed: of everything random.
         start: weights folder to go on from, or None.
-        remarks: what else to enter into the card.
+        remarks: what else to enter into the card; a checkpoint made with other remarks is not taken.
+
+    Raises:
+        ValueError: as :func:`train`, and for a checkpoint of another run in ``work``.
     """
     torch.manual_seed(seed)
     parts = build(config)
-    for name in {"optical": ["autoencoder"], "geometric": ["autoencoder"], "detail": list(PARTS[:4])}.get(part, []):
+    for name in NEEDS.get(part, []):
         parts[name].load_state_dict(load_part(name, out))
         parts[name].eval().requires_grad_(False)
     if start is not None:
@@ -109,7 +114,9 @@ def train_on(
         remarks["start_sha256"] = read_card(start)["parts"][part]["sha256"]
     model = parts[part].to(memory_format=torch.channels_last)
     step, validate = _assemble(part, parts, scenes, held_out, config, recipe, seed)
-    notes = fit(part, model, step, recipe, work, validate, seed=seed)
+    below = [read_card(out)["parts"][name]["sha256"] for name in NEEDS.get(part, [])]
+    key = json.dumps([to_dict(config), checksum(scenes), below, remarks], sort_keys=True)
+    notes = fit(part, model, step, recipe, work, validate, seed=seed, key=key)
     if part == "autoencoder":
         model.eval()
         model.calibrate(recipes.encode_targets(model, scenes)[:, 0].float())

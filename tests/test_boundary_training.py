@@ -117,6 +117,8 @@ def test_a_run_writes_weights_that_the_backend_loads_and_keeps_the_card(tmp_path
     before = (out / "boundary.safetensors").read_bytes()
     train_boundary(VAL, VAL, out, tmp_path / "work", limit=2, steps=3, batch=1)  # nothing is left to do
     assert (out / "boundary.safetensors").read_bytes() == before
+    with pytest.raises(ValueError, match="boundary-rgb.checkpoint.safetensors belongs to another run"):
+        train_boundary(VAL, VAL, out, tmp_path / "work", limit=1, steps=3, batch=1)
 
 
 def test_without_scenes_nothing_is_trained(tmp_path):

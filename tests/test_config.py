@@ -86,6 +86,11 @@ def test_override_refuses(settings, message):
         config.override(config.preset("lite"), **settings)
 
 
+def test_settings_name_a_folder():
+    assert config.folder_name({"unet.width": 48, "size": "96, 128"}) == "unet.width=48,size=96,128"
+    assert config.folder_name({"schedule.name": "a/b"}) == "schedule.name=a-b"
+
+
 def test_from_dict_refuses_unknown_keys():
     values = config.to_dict(config.preset("tiny"))
     values["unet"]["depth"] = 3

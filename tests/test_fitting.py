@@ -1,3 +1,5 @@
+import shutil
+
 import pytest
 import torch
 
@@ -84,6 +86,28 @@ def test_training_goes_on_from_given_weights(trained, data, tmp_path):
     assert all(torch.equal(then[k], now[k]) for k in learnt)
     with pytest.raises(ValueError, match="another region setting"):
         go("region", data, tmp_path, override(TINY, **{"region.width": 16}), start=home / "weights")
+
+
+def test_a_checkpoint_counts_only_for_what_it_was_trained_from(trained, data, tmp_path):
+    start = {"start": trained[0] / "weights"}
+    go("region", data, tmp_path, **start)
+    go("region", data, tmp_path, **start)  # the very same: nothing is left to do
+    for other in ({}, {**start, "seed": 1}, {**start, "limit": 2}):
+        with pytest.raises(ValueError, match="region.checkpoint.safetensors belongs to another run"):
+            go("region", data, tmp_path, **other)
+    go("region", data, tmp_path / "fresh", seed=1)
+    with pytest.raises(ValueError, match="belongs to another run"):  # the start has the same name, but other weights
+        go("region", data, tmp_path, start=tmp_path / "fresh" / "weights")
+
+
+def test_a_branch_does_not_go_on_after_another_autoencoder(trained, data, tmp_path):
+    go("autoencoder", data, tmp_path)
+    go("optical", data, tmp_path)
+    shutil.rmtree(tmp_path / "weights")
+    go("autoencoder", data, tmp_path / "other", seed=1)
+    (tmp_path / "other" / "weights").rename(tmp_path / "weights")
+    with pytest.raises(ValueError, match="optical.checkpoint.safetensors belongs to another run"):
+        go("optical", data, tmp_path)
 
 
 def test_what_cannot_be_trained_is_refused(trained, data, tmp_path):
