@@ -72,8 +72,8 @@ def expected_error(
 
 def check_inputs(
     rgb: np.ndarray, depth: np.ndarray, region: np.ndarray | None, samples: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Check a frame and return its image and its depth, the latter as clean float32 metres.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Check a frame and return it as arrays: its image, its depth as clean float32 metres, its region or None.
 
     Args:
         rgb: (H, W, 3) uint8.
@@ -95,8 +95,9 @@ def check_inputs(
         )
     if rgb.shape[:2] != depth.shape:
         raise ValueError(f"rgb is {rgb.shape[:2]} and depth {depth.shape}: align depth to the RGB image first")
-    if region is not None and (np.shape(region) != depth.shape or np.asarray(region).dtype != bool):
-        raise ValueError(f"region: expected {depth.shape} bool, got {np.shape(region)} {np.asarray(region).dtype}")
+    region = None if region is None else np.asarray(region)
+    if region is not None and (region.shape != depth.shape or region.dtype != bool):
+        raise ValueError(f"region: expected {depth.shape} bool, got {region.shape} {region.dtype}")
     if samples < 1:
         raise ValueError(f"samples: expected at least 1, got {samples}")
     depth = clean_depth(depth)
@@ -104,4 +105,4 @@ def check_inputs(
         raise ValueError(
             "depth holds no reading (all pixels are 0, negative or not finite); completion needs some depth"
         )
-    return rgb, depth
+    return rgb, depth, region

@@ -114,7 +114,7 @@ class Ditr:
         """
         steps = self.config.sampler.steps if steps is None else steps
         samples = self.config.sampler.samples if samples is None else samples
-        rgb, depth = check_inputs(rgb, depth, region, samples)
+        rgb, depth, region = check_inputs(rgb, depth, region, samples)
         frame, bounds = fit(depth.shape, self.config.size), depth_bounds(depth)
         small_rgb, small = frame.into(rgb), frame.into(depth)
         probability = None

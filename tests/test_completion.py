@@ -59,9 +59,16 @@ def test_bad_inputs_are_named(rgb, depth, region, samples, message):
         check_inputs(rgb, depth, region, samples)
 
 
+def test_lists_come_back_as_arrays():
+    rgb, depth, region = check_inputs(RGB, DEPTH.tolist(), MASK.tolist(), 1)
+    assert np.array_equal(rgb, RGB) and np.array_equal(depth, DEPTH) and depth.dtype == np.float32
+    assert np.array_equal(region, MASK) and region.dtype == bool
+    assert check_inputs(RGB, DEPTH, None, 1)[2] is None
+
+
 def test_depth_is_cleaned_and_the_callers_array_left_alone():
     depth = np.array([[1.5, np.nan, np.inf], [-1, 65.5, 0.3]])
-    rgb, clean = check_inputs(np.zeros((2, 3, 3), np.uint8), depth, None, 1)
+    rgb, clean, _ = check_inputs(np.zeros((2, 3, 3), np.uint8), depth, None, 1)
     assert clean.dtype == np.float32 and np.allclose(clean, [[1.5, 0, 0], [0, 0, 0.3]])
     assert np.isnan(depth[0, 1])
 

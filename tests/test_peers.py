@@ -58,6 +58,13 @@ def test_confidence_decides_between_prediction_and_sensor():
     )
 
 
+@pytest.mark.parametrize("name", ["rgb_only", "normals_optimisation", "nobody"])
+def test_an_output_that_is_no_normalised_depth_is_refused(name):
+    one = torch.ones(1, 1, 4, 4)
+    with pytest.raises(ValueError, match=f"expected regression or two_stream_confidence, got '{name}'"):
+        peers.predicted_depth(name, one, one, one)
+
+
 def test_readings_inside_the_region_do_not_steer_the_solve(frame):
     peer = make("normals_optimisation")
     far = np.where(frame.region & (frame.depth > 0), frame.depth + 0.3, frame.depth).astype(np.float32)

@@ -72,6 +72,7 @@ def test_given_region_is_respected(ditr):
     out = ditr(rgb, depth, region)
     assert np.array_equal(out.region, region) and out.probability is None
     assert (out.depth != depth)[region].mean() > 0.99
+    assert same_bits(ditr(rgb, depth, region.tolist()).depth, out.depth)
     nothing = ditr(rgb, depth, np.zeros_like(region))
     assert same_bits(nothing.depth[depth > 0], depth[depth > 0])
 
