@@ -236,7 +236,7 @@ def test_an_incomplete_checkpoint_is_refused(checkpoint, tmp_path):
 
 def test_without_transformers_the_message_says_what_to_install(checkpoint, monkeypatch):
     monkeypatch.setattr(boundary_sam.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ImportError, match=r"ditr-lite\[sam\]"):
+    with pytest.raises(ImportError, match=r"pip install -e '\.\[sam\]'"):
         load(checkpoint)
 
 

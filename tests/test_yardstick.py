@@ -24,7 +24,7 @@ def test_the_two_networks_are_of_nearly_one_size(ditr):
 
 def test_without_the_library_the_yardstick_says_what_to_install(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ImportError, match="ditr-lite\\[dev\\]"):
+    with pytest.raises(ImportError, match=r"pip install -e '\.\[dev\]'"):
         yardstick.library_unet(4, 4, 8, 2, 1)
 
 
