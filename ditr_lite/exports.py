@@ -7,8 +7,10 @@ camera each, these formats one for all: where they keep it in a file, that holds
 
 import json
 import math
+import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -28,7 +30,7 @@ SPLIT_FOLDERS = {  # ours -> theirs, where they are called otherwise
 
 
 def export(dataset: str, root: Path | str, samples: Iterable[Sample], split: str = "val") -> Path:
-    """Write samples below ``root`` as ``dataset`` has them on disk.
+    """Write samples below ``root`` as ``dataset`` has them on disk, all of them or, after an error, none.
 
     Args:
         dataset: a name of :data:`WRITERS`.
@@ -48,12 +50,18 @@ def export(dataset: str, root: Path | str, samples: Iterable[Sample], split: str
     if root.exists() and (not root.is_dir() or any(root.iterdir())):
         raise ValueError(f"{root} exists and is not an empty folder: choose another place to export to")
     theirs = SPLIT_FOLDERS.get(dataset, {}).get(split, split)
-    for number, sample in enumerate(samples):
-        if any(value is None for value in (sample.depth_gt, sample.material, sample.camera)):
-            raise ValueError(
-                f"{sample.name} lacks ground truth, material or camera: only our own scenes can be exported"
-            )
-        WRITERS[dataset](root, theirs, number, sample)
+    place = root.resolve().parent
+    place.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".export-", dir=place) as part:
+        for number, sample in enumerate(samples):
+            if any(value is None for value in (sample.depth_gt, sample.material, sample.camera)):
+                raise ValueError(
+                    f"{sample.name} lacks ground truth, material or camera: only our own scenes can be exported"
+                )
+            WRITERS[dataset](Path(part), theirs, number, sample)
+        root.mkdir(exist_ok=True)
+        for entry in sorted(Path(part).iterdir()):
+            shutil.move(entry, root / entry.name)
     return root
 
 

@@ -123,6 +123,18 @@ def test_a_frame_without_truth_cannot_be_exported(tmp_path):
         exports.export("std", tmp_path / "new", [bare])
 
 
+@pytest.mark.parametrize("exists", [False, True])
+def test_a_failed_export_leaves_nothing_and_can_be_repeated(tmp_path, exists):
+    root, bare = tmp_path / "new", Sample("x", SCENES[0].rgb, SCENES[0].depth)
+    if exists:
+        root.mkdir()
+    with pytest.raises(ValueError, match="x lacks ground truth"):
+        exports.export("todd", root, [SCENES[0], bare])
+    assert [p for p in tmp_path.rglob("*") if p != root] == [] and root.exists() == exists
+    assert len(datasets.TODD(exports.export("todd", root, SCENES[:1]))) == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["new"]
+
+
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     depth=hnp.arrays(np.float32, (6, 8), elements=st.floats(0, 60, width=32)),
