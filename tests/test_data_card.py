@@ -76,6 +76,19 @@ def test_no_shape_of_a_test_scene_was_seen_in_training():
     assert kinds["train"] and kinds["test"] and not kinds["train"] & kinds["test"]
 
 
+def test_the_card_names_the_number_of_real_frames():
+    samples = [load_sample(name) for name in list_samples("train")[:3]]
+    for count, words in ((1, "1 real frame is few"), (2, "2 real frames are few")):
+        assert words in tool.realism_section(samples, samples[:count], "scenes")
+    assert "few" not in tool.realism_section(samples, [], "scenes") and "2 real frames are few" in CARD
+
+
+def test_real_frames_come_from_a_named_folder_only(tmp_path, monkeypatch):
+    monkeypatch.setattr(tool, "contact_sheet", lambda *_: pytest.fail("drawn before the folder was read"))
+    with pytest.raises(ValueError, match="no ClearGrasp frames"):
+        tool.main(["--scenes", str(tmp_path), "--real", str(tmp_path / "absent")])
+
+
 def test_table_and_ranks_by_hand():
     assert tool.table(["a", "b"], [["x", "1"]]) == "| a | b |\n| --- | ---: |\n| x | 1 |"
     samples = [load_sample(name) for name in list_samples("train")[:4]]

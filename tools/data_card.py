@@ -56,7 +56,9 @@ def realism_section(simulated: Sequence[Sample], real: Sequence[Sample], which: 
         listed = "; ".join(f"`{key}` of {name} at percentile {rank:.1f}" for key, name, rank in out)
         verdict += f"\nOutside: {listed}."
     legend = "\n".join(f"- `{key}`: {meaning}" for key, meaning in realism.STATISTICS.items())
-    return f"{text}\n\n```\n{realism.compare(list(simulated), list(real))}\n```\n\n{verdict}\n\n{legend}"
+    frames = "frames are" if len(real) > 1 else "frame is"
+    few = f"{len(real)} real {frames} few, too few to tell how often each case occurs."
+    return f"{text}\n\n```\n{realism.compare(list(simulated), list(real))}\n```\n\n{verdict}\n\n{legend}\n\n{few}"
 
 
 def split_table(splits: dict[str, list[Sample]]) -> str:
@@ -113,14 +115,14 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=Path, default=ROOT / "outputs" / "scenes" / "train")
-    parser.add_argument("--real", type=Path, default=ROOT.parent / "shared" / "real" / "cleargrasp_d435")
+    parser.add_argument("--real", type=Path)
     options = parser.parse_args(arguments)
     splits = {split: read_all(SAMPLES / split) for split in SPLITS if list_samples(split)}
     rendered = read_all(options.scenes)
     wide = rendered or splits["train"]
     last = wide[-1].meta["seed"]
     which = f"{'rendered' if rendered else 'shipped'} training scenes (seeds 0 to {last})"
-    real = list(ClearGrasp(options.real)) if options.real.is_dir() else []
+    real = list(ClearGrasp(options.real)) if options.real else []
     contact_sheet(splits["test"], SAMPLES / "contact_sheet.png")
     columns = ({"train, all rendered": rendered} if rendered else {}) | splits
     infrared = {split: sum(s.ir_left is not None for s in samples) for split, samples in splits.items()}
@@ -196,9 +198,6 @@ the depths before these were rounded to millimetres. In Python: `dl.load_sample(
 ## How they compare with a real camera
 
 {realism}
-
-Two frames are few. They tell that the simulator covers what one D435 did on two tables, not how often each case
-occurs.
 
 ## The splits
 
