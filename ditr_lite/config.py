@@ -4,9 +4,13 @@
 what the paper states (Sec. IV and V-B) wherever it states something.
 """
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from typing import Any
+
+
+def _at_least(minimum: int, group: str, **values: int) -> None:
+    if wrong := [f"{name} {value}" for name, value in values.items() if value < minimum]:
+        raise ValueError(f"{group}: expected at least {minimum}, got {', '.join(wrong)}")
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,10 @@ class AutoencoderConfig:
     res_blocks: int = 1
     commitment: float = 0.25
 
+    def __post_init__(self) -> None:
+        _at_least(1, "autoencoder", latent_channels=self.latent_channels, codes=self.codes, width=self.width)
+        _at_least(1, "autoencoder.multipliers", smallest=min(self.multipliers, default=1))
+
 
 @dataclass(frozen=True)
 class ScheduleConfig:
@@ -62,12 +70,19 @@ class UNetConfig:
     cond_channels: int = 32  # channels of F(x) that are concatenated to L_t
     anchor: bool = True  # predict what to add to the encoded known depth; only with prediction "x0" (not in the paper)
 
+    def __post_init__(self) -> None:
+        _at_least(1, "unet", width=self.width, heads=self.heads, cond_channels=self.cond_channels)
+        _at_least(1, "unet.multipliers", levels=len(self.multipliers), smallest=min(self.multipliers, default=1))
+
 
 @dataclass(frozen=True)
 class DetailConfig:
     """The finer final step: a small full-resolution network after the decoder. Width 0 leaves it out (the paper)."""
 
     width: int = 24
+
+
+PREDICTIONS = ("x0", "eps", "v")
 
 
 @dataclass(frozen=True)
@@ -77,6 +92,11 @@ class SamplerConfig:
     prediction: str = "x0"  # what the U-Net predicts: "x0" (the paper's x_theta, Eq. 9), "eps" or "v"
     steps: int = 1
     samples: int = 4
+
+    def __post_init__(self) -> None:
+        _at_least(1, "sampler", steps=self.steps, samples=self.samples)
+        if self.prediction not in PREDICTIONS:
+            raise ValueError(f"unknown sampler.prediction {self.prediction!r}; choose one of {', '.join(PREDICTIONS)}")
 
 
 @dataclass(frozen=True)
@@ -88,6 +108,12 @@ class StdConfig:
 
     base: tuple[float, float] = (0.0, 0.0)  # optical, geometric; a share of the depth
     factor: tuple[float, float] = (1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if not len(self.base) == len(self.factor) == 2:
+            raise ValueError(
+                f"std: expected a base and a factor for each of 2 branches, got {self.base}, {self.factor}"
+            )
 
 
 @dataclass(frozen=True)
@@ -105,6 +131,13 @@ class Config:
     sampler: SamplerConfig = field(default_factory=SamplerConfig)
     std: StdConfig = field(default_factory=StdConfig)
     evidence: bool = True  # feed in-region readings to the optical branch, flagged as unreliable (the paper drops them)
+
+    def __post_init__(self) -> None:
+        stride = max(32, 4 * 2 ** (len(self.unet.multipliers) - 1))  # of latents, 4, doubled by each further level
+        if len(self.size) != 2 or any(n < stride or n % stride for n in self.size):
+            raise ValueError(f"size: expected (height, width), both multiples of {stride}, got {self.size}")
+        if self.unet.anchor and self.sampler.prediction != "x0":
+            raise ValueError(f"sampler.prediction {self.sampler.prediction!r} needs unet.anchor=false")
 
 
 PRESETS: dict[str, Config] = {
@@ -164,28 +197,24 @@ def override(config: Config, **settings: Any) -> Config:
     Values that come as text (from a command line) are converted to the type of the setting they replace.
 
     Raises:
-        ValueError: for an unknown setting or a value of the wrong type.
+        ValueError: for an unknown setting, a value of the wrong type, or a system that cannot be.
     """
+    values = to_dict(config)
     for key, value in settings.items():
-        config = _override(config, key.split("."), value, key)
-    return config
+        _override(values, config, key.split("."), value, key)
+    return _build(type(config), values)  # at once: some settings are right only together
 
 
-def folder_name(settings: Mapping[str, Any]) -> str:
-    """Return settings as the name of a folder, e.g. ``unet.width=48,size=96,128``."""
-    return ",".join(f"{key}={value}" for key, value in settings.items()).replace(" ", "").replace("/", "-")
-
-
-def _override(node: Any, path: list[str], value: Any, key: str) -> Any:
+def _override(values: dict[str, Any], node: Any, path: list[str], value: Any, key: str) -> None:
     known = [f.name for f in fields(node)] if is_dataclass(node) else []
     if path[0] not in known:
         raise ValueError(f"unknown setting {key!r}; {type(node).__name__} has {', '.join(known) or 'no settings'}")
     old = getattr(node, path[0])
     if len(path) > 1:
-        return replace(node, **{path[0]: _override(old, path[1:], value, key)})
+        return _override(values[path[0]], old, path[1:], value, key)
     if is_dataclass(old):
         raise ValueError(f"setting {key!r} is a group; set one of {', '.join(key + '.' + f.name for f in fields(old))}")
-    return replace(node, **{path[0]: _convert(value, old, key)})
+    values[path[0]] = _convert(value, old, key)
 
 
 def _convert(value: Any, old: Any, key: str) -> Any:
@@ -194,10 +223,16 @@ def _convert(value: Any, old: Any, key: str) -> Any:
             return {"true": True, "1": True, "false": False, "0": False}[str(value).lower()]
         if isinstance(old, tuple):
             parts = value.split(",") if isinstance(value, str) else value
-            return tuple(type(old[0])(p) for p in parts)
-        return type(old)(value)
+            return tuple(_number(p, type(old[0])) for p in parts)
+        return _number(value, type(old))
     except (KeyError, TypeError, ValueError):
         raise ValueError(f"setting {key!r} expects {type(old).__name__} like {old!r}, got {value!r}") from None
+
+
+def _number(value: Any, kind: type) -> Any:
+    if kind is int and int(value) != float(value):
+        raise ValueError
+    return kind(value)
 
 
 def _build(kind: type, values: dict[str, Any]) -> Any:

@@ -70,6 +70,18 @@ def test_override_converts_text(key, text, value):
     assert node == value and type(node) is type(value)
 
 
+def test_settings_that_are_right_only_together_are_taken_in_any_order():
+    settings = {
+        "sampler.prediction": "v",
+        "unet.anchor": "false",
+        "unet.multipliers": "1,2",
+        "unet.attention_levels": "1",
+    }
+    for pairs in (list(settings.items()), list(settings.items())[::-1]):
+        changed = config.override(config.preset("tiny"), **dict(pairs))
+        assert (changed.sampler.prediction, changed.unet.anchor, changed.unet.multipliers) == ("v", False, (1, 2))
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -79,16 +91,28 @@ def test_override_converts_text(key, text, value):
         ({"unet.width": "wide"}, "expects int"),
         ({"evidence": "maybe"}, "expects bool"),
         ({"size": "96,a"}, "expects tuple"),
+        ({"unet.width": 48.5}, "expects int"),
+        ({"size": (96.5, 128)}, "expects tuple"),
+        ({"size": "64"}, "size: expected .height, width., both multiples of 32, got .64,."),
+        ({"size": "60,90"}, "both multiples of 32"),
+        ({"size": "0,64"}, "both multiples of 32"),
+        ({"size": "96,96,96"}, "both multiples of 32"),
+        ({"size": "96,96", "unet.multipliers": "1,2,4,8,8"}, "both multiples of 64"),
+        ({"unet.heads": 0}, "unet: expected at least 1, got heads 0"),
+        ({"unet.width": "-8"}, "unet: expected at least 1, got width -8"),
+        ({"unet.multipliers": "1,0,4,8"}, "unet.multipliers: expected at least 1, got smallest 0"),
+        ({"unet.multipliers": ()}, "unet.multipliers: expected at least 1, got levels 0"),
+        ({"autoencoder.width": "-8"}, "autoencoder: expected at least 1, got width -8"),
+        ({"autoencoder.multipliers": "1,0"}, "got smallest 0"),
+        ({"sampler.prediction": "foo", "unet.anchor": "false"}, "unknown sampler.prediction 'foo'; choose one of x0"),
+        ({"sampler.steps": 0}, "sampler: expected at least 1, got steps 0"),
+        ({"sampler.prediction": "v"}, "'v' needs unet.anchor=false"),
+        ({"std.base": "0.1"}, "each of 2 branches"),
     ],
 )
 def test_override_refuses(settings, message):
     with pytest.raises(ValueError, match=message):
         config.override(config.preset("lite"), **settings)
-
-
-def test_settings_name_a_folder():
-    assert config.folder_name({"unet.width": 48, "size": "96, 128"}) == "unet.width=48,size=96,128"
-    assert config.folder_name({"schedule.name": "a/b"}) == "schedule.name=a-b"
 
 
 def test_from_dict_refuses_unknown_keys():
