@@ -13,6 +13,10 @@ from ditr_lite import bench_commands, boundary_commands, commands
 
 DATASETS = ("cleargrasp", "cleargrasp_synthetic", "todd", "std", "dreds", "trosd", "transcg", "folder")
 PROTOCOLS = ("cleargrasp", "lidf", "transparenet", "dfnet", "swindrnet", "d3roma", "marigold")
+HOMES = (
+    "folder for the split's folder (default outputs/scenes; with --sensor NAME outputs/sensors/NAME; "
+    "without --split the folder of the shipped scenes)"
+)
 BAD_INPUT = (ValueError, OSError, ImportError)  # OSError: files that are absent, unreadable, or cannot be written
 
 
@@ -125,7 +129,7 @@ def _simulate(p: Parser) -> None:
     )
     p.add_argument("--root", type=Path, help="folder of the scenes to export (default: the shipped ones)")
     p.add_argument("--count", type=int, help="scenes wanted")
-    p.add_argument("--out", type=Path, help="folder for the split's folder (default outputs/scenes, or data_samples)")
+    p.add_argument("--out", type=Path, help=HOMES)
     p.add_argument("--workers", type=int, help="processes (default: one per core)")
     p.add_argument("--first-seed", type=int, help="first scene seed to try (default 0)")
     p.add_argument("--infrared", type=int, help="how many of the first scenes keep their infrared pair (default 0)")
@@ -145,7 +149,7 @@ def _train(p: Parser) -> None:
     p.add_argument(
         "--data", type=Path, help="scenes to train on (outputs/scenes/train); in a comparison, besides the shipped ones"
     )
-    p.add_argument("--val", type=Path, default=Path("data_samples/val"), help="scenes to validate on (%(default)s)")
+    p.add_argument("--val", type=Path, help="scenes to validate on (default: the shipped val split)")
     p.add_argument("--out", type=Path, help="weights folder (default: the shipped one for plain lite, else in outputs)")
     p.add_argument("--work", type=Path, help="folder for checkpoints and logs (default outputs/training)")
     p.add_argument("--start", type=Path, help="weights folder to go on from (default: afresh), e.g. the shipped one")
@@ -159,7 +163,7 @@ def _train(p: Parser) -> None:
 
 def _train_boundary(p: Parser) -> None:
     p.add_argument("--data", type=Path, default=Path("outputs/scenes/train"), help="scenes to train on (%(default)s)")
-    p.add_argument("--val", type=Path, default=Path("data_samples/val"), help="scenes to validate on (%(default)s)")
+    p.add_argument("--val", type=Path, help="scenes to validate on (default: the shipped val split)")
     p.add_argument("--out", type=Path, help="weights folder (default: the shipped one)")
     p.add_argument("--work", type=Path, default=Path("outputs/training"), help="for checkpoints and logs (%(default)s)")
     p.add_argument(

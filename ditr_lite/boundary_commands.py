@@ -13,7 +13,9 @@ def train_boundary(args: Namespace) -> None:
     _check_scenes(args)
     out = args.out or WEIGHTS
     changes = {k: getattr(args, k) for k in ("steps", "batch", "lr") if getattr(args, k) is not None}
-    notes = boundary_training.train_boundary(args.data, args.val, out, args.work, args.limit, args.seed, **changes)
+    notes = boundary_training.train_boundary(
+        args.data, args.val, out, args.work, args.limit, args.seed, _line(args), **changes
+    )
     figures = "; ".join(f"{m} F {notes[m]['val_f']:.3f} at threshold {notes[m]['threshold']}" for m in ("rgb", "depth"))
     print(f"{out / 'boundary'}.safetensors: {figures} (validation)")
 

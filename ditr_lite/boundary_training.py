@@ -1,7 +1,6 @@
 """Train the two networks of the ``learned`` boundary backend on the exact outlines of rendered scenes."""
 
 import json
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -110,6 +109,7 @@ def train_boundary(
     work: Path | str,
     limit: int | None = None,
     seed: int = 0,
+    command: str | None = None,
     **changes: Any,
 ) -> dict[str, Any]:
     """Train both networks and write ``boundary.safetensors`` with its entry in the card; a stopped run goes on.
@@ -121,6 +121,7 @@ def train_boundary(
         work: folder for checkpoints and logs. Where ``out`` holds stage one, the encoders begin with its.
         limit: use only the first scenes.
         seed: of everything random.
+        command: that asked for it, for the card.
         changes: ``steps``, ``batch``, ``lr`` instead of the recipe's; the depth network takes a third of the steps.
 
     Returns:
@@ -146,7 +147,7 @@ def train_boundary(
         cut, score = best_threshold(found, [g[channel] > 0 for g in held_out.guides])
         notes[mode] |= {"recipe": vars(recipe), "threshold": cut, "val_f": round(score, 4)}
         thresholds.append(cut)
-    notes |= {"command": " ".join(["python -m ditr_lite", *sys.argv[1:]]), "seed": seed}
+    notes |= {"command": command, "seed": seed}
     notes |= {"scenes": len(scenes), "first_scene": scenes.names[0], "last_scene": scenes.names[-1]}
     config = from_dict(read_card(out)["config"]) if (out / CARD).is_file() else preset("lite")
     save_part("boundary", nets.state_dict() | {"thresholds": torch.tensor(thresholds)}, config, out, notes)

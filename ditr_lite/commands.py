@@ -126,7 +126,7 @@ def train(args: Namespace) -> None:
     from dataclasses import replace
 
     from ditr_lite import fitting
-    from ditr_lite.config import folder_name, override, preset
+    from ditr_lite.config import override, preset
     from ditr_lite.recipes import RECIPES
     from ditr_lite.store import WEIGHTS
 
@@ -140,14 +140,13 @@ def train(args: Namespace) -> None:
     args.data = args.data or Path("outputs/scenes/train")
     _check_scenes(args)
     # Only the plain lite preset goes where the shipped weights and their checkpoints are.
-    tag = "-".join([args.preset, *([folder_name(settings)] if settings else [])])
+    tag = "-".join([args.preset, *([fitting.folder_name(settings)] if settings else [])])
     out = args.out or (WEIGHTS if tag == "lite" else Path("outputs/weights") / tag)
     work = args.work or (Path("outputs/training") if tag == "lite" else Path("outputs/training") / tag)
     for part in fitting.PARTS if args.part == "all" else [args.part]:
         recipe = replace(RECIPES[part], **changes)
-        notes = fitting.train(
-            part, config, args.data, args.val, out, work, recipe, args.limit, args.seed, args.boundary, args.start
-        )
+        how = (args.limit, args.seed, args.boundary, args.start, _line(args))
+        notes = fitting.train(part, config, args.data, args.val, out, work, recipe, *how)
         last = {k: v for k, v in (notes["curve"] or [{}])[-1].items() if k.startswith("val_")}
         figures = ", ".join(f"{k.removeprefix('val_')} {v:.4f}" for k, v in last.items())
         print(f"{Path(out) / part}.safetensors: {notes['steps']} steps, {notes['seconds']:.0f} s; {figures}")
@@ -162,8 +161,9 @@ def experiment(args: Namespace, settings: dict[str, str], changes: dict[str, flo
     if args.start:
         raise ValueError("a comparison trains both systems afresh: leave --start out, or train one --part with it")
     recipes = {part: replace(recipe, **changes) for part, recipe in QUICK.items()}
-    where = {"data": args.data, "val": args.val, "out": args.out, "work": args.work}
-    result = compare(settings, **where, recipes=recipes, limit=args.limit, seed=args.seed, boundary=args.boundary)
+    given = ("data", "val", "out", "work", "limit", "seed", "boundary")
+    how = {name: value for name in given if (value := getattr(args, name)) is not None}
+    result = compare(settings, recipes=recipes, command=_line(args), **how)
     print(format_comparison(result))
 
 
@@ -210,6 +210,10 @@ def _frames(args: Namespace) -> tuple[str, _First]:
 
 
 def _check_scenes(args: Namespace) -> None:
+    """Refuse folders without scenes; ``val`` is the shipped split by default."""
+    from ditr_lite.data import SAMPLES
+
+    args.val = args.val or SAMPLES / "val"
     for folder, command in ((args.data, MAKE_TRAIN), (args.val, MAKE_VAL)):
         if not any(Path(folder).glob("*/meta.json")):
             raise ValueError(f"no scenes in {folder}: make them with `{command}`")

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from ditr_lite.config import Config, folder_name, override, preset, to_dict
+from ditr_lite.config import Config, override, preset, to_dict
 from ditr_lite.data import SAMPLES, read_sample
 from ditr_lite.evaluation import DITR, run_methods
-from ditr_lite.fitting import PARTS, train_on
-from ditr_lite.pipeline import Ditr
+from ditr_lite.fitting import PARTS, check_same_system, folder_name, train_on
+from ditr_lite.pipeline import Ditr, build
 from ditr_lite.scenedata import Scenes, checksum, first, join, load_scenes, shrink
 from ditr_lite.store import CARD, load_part, read_card, save_part
 from ditr_lite.summaries import paired_bootstrap
@@ -65,6 +65,7 @@ def compare(
     frames: int | None = None,
     seed: int = 0,
     boundary: str = "classical",
+    command: str | None = None,
 ) -> dict[str, Any]:
     """Train the tiny preset as it is and with ``settings``, and score both.
 
@@ -81,6 +82,7 @@ def compare(
         frames: score the first frames only.
         seed: of everything random, in both arms.
         boundary: backend of the guides in training.
+        command: that asked for it, for the cards.
 
     Returns:
         ``settings``; ``trained``, the parts that were trained again; ``region``, "given" or "found"; ``scenes``,
@@ -89,10 +91,14 @@ def compare(
         default, 95 % over frames, None without a common frame.
 
     Raises:
-        ValueError: for unknown settings, settings that change nothing, or folders without scenes.
+        ValueError: for unknown settings, settings that change nothing or cannot be, folders without scenes, or an
+            ``out`` that holds another system.
     """
     base = preset("tiny")
     config, trained = override(base, **settings), touched(base, settings)
+    build(config)  # what cannot be built is refused before the other arm is trained
+    if out is not None:
+        check_same_system(config, out)
     if steps is not None:
         recipes = {part: replace(recipe, steps=steps) for part, recipe in recipes.items()}
     home = Path(folder) / "tiny"
@@ -115,7 +121,7 @@ def compare(
             start = None if arm == "default" else (paths["default"], trained)
             own = arm == "default" or out is None
             seconds[arm] = train_arm(
-                given, scenes[given.size], paths[arm], spare / names[arm], recipes, seed, boundary, start, own
+                given, scenes[given.size], paths[arm], spare / names[arm], recipes, seed, boundary, start, own, command
             )
     for arm, path in paths.items():
         rows = run_methods(samples, Ditr.from_pretrained(path=path), {}, given_region=not found)
@@ -157,6 +163,7 @@ def train_arm(
     boundary: str,
     start: tuple[Path, Sequence[str]] | None = None,
     own: bool = True,
+    command: str | None = None,
 ) -> float:
     """Train one arm, unless ``folder`` holds the very same already, and return the seconds that it took.
 
@@ -169,7 +176,8 @@ def train_arm(
         seed: of everything random.
         boundary: backend of the guides.
         start: (folder, parts): train only these and copy the others from there; None trains all.
-        own: whether weights of another configuration in ``folder`` may go.
+        own: whether weights of another configuration in ``folder`` may go; otherwise they are refused.
+        command: that asked for it, for the card.
     """
     key = _key(config, scenes, recipes, seed, boundary, start and start[1])
     parts = [p for p in PARTS if p != "detail" or config.detail.width]
@@ -177,10 +185,11 @@ def train_arm(
         return 0.0
     if own:
         (folder / CARD).unlink(missing_ok=True)
+    check_same_system(config, folder)
     begun = time.monotonic()
     for part in parts:
         if start is None or part in start[1]:
-            train_on(part, config, scenes, None, folder, work, recipes[part], seed, key=key)
+            train_on(part, config, scenes, None, folder, work, recipes[part], seed, command=command, key=key)
         else:
             notes = read_card(start[0])["parts"][part]
             save_part(part, load_part(part, start[0]), config, folder, {**notes, "copied": str(start[0]), "key": key})

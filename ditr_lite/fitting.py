@@ -1,8 +1,9 @@
 """Train one part from start to shipped file: load scenes, run its recipe, validate, save weights and card."""
 
 import json
-import sys
+from collections.abc import Mapping
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -13,30 +14,39 @@ from torch import nn
 from ditr_lite import recipes
 from ditr_lite.conditioning import fill
 from ditr_lite.config import Config, from_dict, to_dict
+from ditr_lite.data import SAMPLES
 from ditr_lite.metrics import iou
 from ditr_lite.pipeline import build
 from ditr_lite.region import region_probability
 from ditr_lite.scenedata import Scenes, checksum, load_scenes
 from ditr_lite.schedule import make_schedule
-from ditr_lite.store import CARD, load_part, read_card, save_part
+from ditr_lite.store import CARD, WEIGHTS, load_part, read_card, save_part
 from ditr_lite.training import Recipe, fit
 
 PARTS = ("autoencoder", "region", "optical", "geometric", "detail")  # in the order in which they need each other
+NETWORKS = ("region", "autoencoder", "schedule", "unet", "detail")  # settings that make the networks
+SYSTEM = (*NETWORKS, "size", "sampler.prediction", "evidence")  # and all others that weights are trained for
 NEEDS = {"optical": ["autoencoder"], "geometric": ["autoencoder"], "detail": list(PARTS[:4])}
+
+
+def folder_name(settings: Mapping[str, Any]) -> str:
+    """Return settings as the name of a folder, e.g. ``unet.width=48,size=96,128``."""
+    return ",".join(f"{key}={value}" for key, value in settings.items()).replace(" ", "").replace("/", "-")
 
 
 def train(
     part: str,
     config: Config,
     data: Path | str = "outputs/scenes/train",
-    val: Path | str = "data_samples/val",
-    out: Path | str = "ditr_lite/weights",
+    val: Path | str = SAMPLES / "val",
+    out: Path | str = WEIGHTS,
     work: Path | str = "outputs/training",
     recipe: Recipe | None = None,
     limit: int | None = None,
     seed: int = 0,
     boundary: str = "classical",
     start: Path | str | None = None,
+    command: str | None = None,
 ) -> dict[str, Any]:
     """Train ``part`` and write its weights and its entry in the card.
 
@@ -52,6 +62,7 @@ def train(
         seed: of everything random.
         boundary: backend of the guides.
         start: weights folder to go on from, such as the shipped one for frames of your own; None begins afresh.
+        command: that asked for it, for the card.
 
     Returns:
         the entry of the card: command, recipe, scenes, seconds, curve.
@@ -62,7 +73,7 @@ def train(
     """
     if part not in PARTS:
         raise ValueError(f"unknown part {part!r}; choose one of {', '.join(PARTS)}")
-    _check_same_networks(config, Path(out))
+    check_same_system(config, out)
     recipe = recipe or recipes.RECIPES[part]
     guided = part not in ("autoencoder", "region")
     cache = Path(work)
@@ -71,7 +82,7 @@ def train(
         load_scenes(folder, n, boundary if guided else None, cache / f"{Path(folder).name}-{boundary}.npz")
         for folder, n in ((data, limit), (val, None))
     )
-    return train_on(part, config, scenes, held_out, out, work, recipe, seed, start)
+    return train_on(part, config, scenes, held_out, out, work, recipe, seed, start, command)
 
 
 def train_on(
@@ -84,6 +95,7 @@ def train_on(
     recipe: Recipe,
     seed: int = 0,
     start: Path | str | None = None,
+    command: str | None = None,
     **remarks: Any,
 ) -> dict[str, Any]:
     """Do what :func:`train` does with scenes that are in memory already.
@@ -98,18 +110,20 @@ def train_on(
         recipe: steps, batch, rate.
         seed: of everything random.
         start: weights folder to go on from, or None.
+        command: that asked for it, for the card.
         remarks: what else to enter into the card; a checkpoint made with other remarks is not taken.
 
     Raises:
         ValueError: as :func:`train`, and for a checkpoint of another run in ``work``.
     """
+    check_same_system(config, out)
     torch.manual_seed(seed)
     parts = build(config)
     for name in NEEDS.get(part, []):
         parts[name].load_state_dict(load_part(name, out))
         parts[name].eval().requires_grad_(False)
     if start is not None:
-        _check_same_networks(config, Path(start))
+        check_same_system(config, start, NETWORKS)
         parts[part].load_state_dict(load_part(part, start))
         remarks["start_sha256"] = read_card(start)["parts"][part]["sha256"]
     model = parts[part].to(memory_format=torch.channels_last)
@@ -120,18 +134,18 @@ def train_on(
     if part == "autoencoder":
         model.eval()
         model.calibrate(recipes.encode_targets(model, scenes)[:, 0].float())
-    notes |= {"command": " ".join(["python -m ditr_lite", *sys.argv[1:]]), "recipe": vars(recipe), "seed": seed}
+    notes |= {"command": command, "recipe": vars(recipe), "seed": seed}
     notes |= {"scenes": len(scenes), "first_scene": scenes.names[0], "last_scene": scenes.names[-1], **remarks}
     save_part(part, model.state_dict(), config, out, notes)
     return notes
 
 
-def _check_same_networks(config: Config, out: Path) -> None:
-    if not (out / CARD).is_file():
+def check_same_system(config: Config, out: Path | str, settings: tuple[str, ...] = SYSTEM) -> None:
+    """Refuse a weights folder that holds another system than ``config``, with a ValueError that names the settings."""
+    if not (Path(out) / CARD).is_file():
         return
     there = from_dict(read_card(out)["config"])
-    groups = ("region", "autoencoder", "schedule", "unet", "detail")
-    if other := [name for name in groups if getattr(there, name) != getattr(config, name)]:
+    if other := [name for name in settings if attrgetter(name)(there) != attrgetter(name)(config)]:
         raise ValueError(f"{out} holds weights of another {', '.join(other)} setting: choose another folder for these")
 
 

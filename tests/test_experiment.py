@@ -1,4 +1,5 @@
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -141,6 +142,29 @@ def test_the_report_names_both_arms_and_its_limits(result):
     assert "tiny as it is" in text and "unet.heads=1" in text and "another seed" in text
     assert f"{1000 * np.mean(result['rmse_m']['default']['optical']):.1f}" in text
     assert len({len(line) for line in text.splitlines()[2:6]}) == 1
+
+
+def test_another_system_is_never_overwritten(tmp_path, folder, result):
+    shutil.copytree(folder / "tiny" / "unet.heads=1", tmp_path / "mine")
+    before = (tmp_path / "mine" / "card.json").read_bytes()
+    for settings in ({"evidence": "false"}, {"unet.heads": 1, "size": "32,64"}, {"unet.width": 16}):
+        with pytest.raises(ValueError, match="mine holds weights of another"):
+            run(tmp_path, settings, out=tmp_path / "mine")
+    with pytest.raises(ValueError, match="default holds weights of another unet"):  # where the other arm goes
+        run(folder, {"unet.heads": 1}, out=folder / "tiny" / "default")
+    assert (tmp_path / "mine" / "card.json").read_bytes() == before and not (tmp_path / "tiny").exists()
+    again = run(folder, {"unet.heads": 1}, out=tmp_path / "mine", command="the command", seed=1)
+    card = read_card(tmp_path / "mine")["parts"]
+    assert (
+        again["seconds"]["changed"] > 0 and card["optical"]["command"] == "the command" and card["optical"]["seed"] == 1
+    )
+
+
+@pytest.mark.parametrize("settings", [{"unet.heads": 3}, {"unet.query": "foo"}, {"region.levels": 1}])
+def test_what_cannot_be_built_is_refused_before_anything_is_trained(tmp_path, settings):
+    with pytest.raises(ValueError):
+        run(tmp_path, settings)
+    assert not (tmp_path / "tiny").exists()
 
 
 def test_nothing_to_score_on_is_said_before_anything_is_trained(tmp_path):

@@ -1,5 +1,6 @@
 import json
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -265,6 +266,8 @@ UNET = {"parameters": 1000, "gflops": 1.0, "ms": 2.0, "ms_per_gflop": 2.0}
         (["train", "--preset", "vast"], "unknown preset 'vast'"),
         (["train", "--set", "unet.width"], "--set expects key=value"),
         (["train", "--set", "unet.depth=3"], "unknown setting 'unet.depth'"),
+        (["train", "--set", "unet.heads=0"], "unet: expected at least 1, got heads 0"),
+        (["train", "--data", str(data.SAMPLES / "val"), "--steps", "-5"], "expected at least 1 step"),
         (
             ["train", "--data", "nowhere"],
             "no scenes in nowhere: make them with `python -m ditr_lite simulate --split train --count 1500 "
@@ -320,7 +323,7 @@ def test_train_all_goes_through_the_parts_and_makes_usable_weights(scenes, tmp_p
     # other sizes must not be mixed into the same folder
     assert "another unet setting" in refused([*argv, "--part", "optical", "--set", "unet.heads=1"], capsys)
     again = [*argv, "--part", "region", "--set", "region.width=16", "--out", str(tmp_path / "other")]
-    assert "region.checkpoint.safetensors belongs to another run, one of other settings" in refused(again, capsys)
+    assert "region.checkpoint.safetensors belongs to another run, of other settings" in refused(again, capsys)
 
 
 def test_a_changed_tiny_system_is_compared_with_the_default(scenes, tmp_path, frame, capsys, monkeypatch):
@@ -340,10 +343,11 @@ def test_a_changed_tiny_system_is_compared_with_the_default(scenes, tmp_path, fr
 
 
 def test_only_plain_lite_writes_into_the_shipped_weights(scenes, monkeypatch, capsys):
-    calls = []
+    calls, commands = [], []
 
-    def fake(part, config, data, val, out, work, recipe, limit, seed, boundary, start):
+    def fake(part, config, data, val, out, work, recipe, limit, seed, boundary, start, command):
         calls.append((out, work, recipe.steps))
+        commands.append(command)
         return {"steps": 0, "seconds": 0, "curve": []}
 
     monkeypatch.setattr("ditr_lite.fitting.train", fake)
@@ -353,6 +357,29 @@ def test_only_plain_lite_writes_into_the_shipped_weights(scenes, monkeypatch, ca
     assert calls[0] == (store.WEIGHTS, Path("outputs/training"), 7)
     assert {str(out) for out, _, _ in calls[1:]} == {"outputs/weights/tiny", "outputs/weights/lite-unet.width=64"}
     assert len({work for _, work, _ in calls}) == 3
+    assert commands[2] == shlex.join(["python", "-m", "ditr_lite", *argv, "--set", "unet.width=64"])
+
+
+def test_a_comparison_does_not_replace_the_shipped_system(tmp_path, capsys):
+    shutil.copy(store.WEIGHTS / "card.json", tmp_path)  # a copy, lest the test itself do the damage
+    argv = ["train", "--preset", "tiny", "--set", "unet.width=16", "--out", str(tmp_path)]
+    assert "holds weights of another region, autoencoder, unet, detail, size setting" in refused(argv, capsys)
+    assert store.read_card(tmp_path) == store.read_card()
+
+
+def test_scenes_to_validate_on_are_the_shipped_ones_wherever_it_is_called_from(scenes, tmp_path, monkeypatch):
+    seen = []
+
+    def fake(*args):
+        seen.append(args[3] if args[0] == "region" else args[1])
+        raise ValueError("far enough")
+
+    monkeypatch.setattr("ditr_lite.fitting.train", fake)
+    monkeypatch.setattr("ditr_lite.boundary_training.train_boundary", fake)
+    monkeypatch.chdir(tmp_path)
+    for command in (["train", "--part", "region"], ["train-boundary"]):
+        assert main([*command, "--data", str(scenes / "val")]) == 2
+    assert seen == [data.SAMPLES / "val"] * 2
 
 
 def test_json_is_written_whole_or_not_at_all(tmp_path):
