@@ -15,9 +15,6 @@ from torch import Tensor
 
 CHANNELS = ("red", "green", "blue", "boundary", "filled", "known", "region", "evidence", "trusted")  # of F(x)'s input
 MIN_SPAN_M = 0.15  # a frame of one flat wall still gets a range to paint in
-# of fill, at every scale, for a branch: the membrane is the better guess of a hole (32.5 against 35.4 mm on validation
-# scenes), but not of glass, which stands before what surrounds it (73.1 against 72.7 mm)
-RELAXATIONS = {"optical": 0, "geometric": 4}
 
 
 @dataclass(frozen=True)
@@ -111,17 +108,14 @@ def fit(source: tuple[int, int], size: tuple[int, int]) -> Frame:
     return Frame(source, height, width, size)
 
 
-def fill(depth_n: Tensor, known: Tensor, relaxations: int = 0) -> Tensor:
+def fill(depth_n: Tensor, known: Tensor) -> Tensor:
     """Fill unknown pixels with averages of known ones, from the nearest coarser scale that has any (push-pull).
 
-    Only a start for the encoder, cheap and dense; the branches repaint it. With relaxations every unknown pixel then
-    becomes the mean of its neighbours, that often at every scale: a cascadic multigrid for the equation of the membrane
-    that ``baselines.harmonic`` solves exactly, in a hundredth of its time.
+    Only a start for the encoder, cheap and dense; the branches repaint it.
 
     Args:
         depth_n: (B, 1, H, W) normalised depth.
         known: (B, 1, H, W) 0/1.
-        relaxations: at every scale; 4 come as close to the truth as the exact membrane.
 
     Returns:
         (B, 1, H, W), equal to ``depth_n`` where known; 0 everywhere when nothing is known.
@@ -130,14 +124,9 @@ def fill(depth_n: Tensor, known: Tensor, relaxations: int = 0) -> Tensor:
         return depth_n * known
     share = F.avg_pool2d(known, 2, ceil_mode=True, count_include_pad=False)
     mean = F.avg_pool2d(depth_n * known, 2, ceil_mode=True, count_include_pad=False) / share.clamp(min=1e-6)
-    coarse = fill(mean, (share > 0).to(known.dtype), relaxations)
+    coarse = fill(mean, (share > 0).to(known.dtype))
     fine = F.interpolate(coarse, size=depth_n.shape[2:], mode="bilinear", align_corners=False)
-    filled = torch.where(known > 0, depth_n, fine)
-    for _ in range(relaxations):
-        around = F.pad(filled, [1] * 4, mode="replicate")  # no flow through the image border
-        mean = (around[..., 1:-1, :-2] + around[..., 1:-1, 2:] + around[..., :-2, 1:-1] + around[..., 2:, 1:-1]) / 4
-        filled = torch.where(known > 0, depth_n, mean)
-    return filled
+    return torch.where(known > 0, depth_n, fine)
 
 
 def to_tensor(rgb: np.ndarray) -> Tensor:
@@ -146,13 +135,7 @@ def to_tensor(rgb: np.ndarray) -> Tensor:
 
 
 def condition(
-    rgb: Tensor,
-    depth_n: Tensor,
-    valid: Tensor,
-    region: Tensor,
-    boundary: Tensor,
-    evidence: bool = True,
-    relaxations: int = 0,
+    rgb: Tensor, depth_n: Tensor, valid: Tensor, region: Tensor, boundary: Tensor, evidence: bool = True
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Assemble what a branch is given.
 
@@ -167,14 +150,13 @@ def condition(
         region: (B, 1, H, W) 0/1.
         boundary: (B, 1, H, W) 0/1, the boundary map that guides this branch.
         evidence: whether in-region readings may be seen.
-        relaxations: of :func:`fill`; :data:`RELAXATIONS` has those of each branch.
 
     Returns:
         the conditioning image (B, 9, H, W) with channels as in :data:`CHANNELS`; the filled known depth (B, 1, H, W)
         for the encoder; the share of known pixels per latent cell (B, 1, H/4, W/4).
     """
     known = valid * (1 - region)
-    filled = fill(depth_n, known, relaxations)
+    filled = fill(depth_n, known)
     seen = valid * region * float(evidence)
     offset = torch.where(seen > 0, (depth_n - filled).clamp(-2, 2), 0.0)
     image = torch.cat([rgb, boundary, filled, known, region, offset, seen], dim=1)

@@ -17,7 +17,7 @@ import torch
 from tqdm.auto import tqdm
 
 from ditr_lite.boundary import boundary_maps
-from ditr_lite.conditioning import RELAXATIONS, condition, depth_bounds, fit, to_tensor
+from ditr_lite.conditioning import condition, depth_bounds, fit, to_tensor
 from ditr_lite.data import Sample
 from ditr_lite.pipeline import BRANCHES, Ditr
 from ditr_lite.unet import count_flops
@@ -127,9 +127,7 @@ def stages(
 
     def paint(branch: str) -> torch.Tensor:
         evidence = ditr.config.evidence and branch == "optical"
-        given = condition(
-            image, depth_n, valid, mask, m_da if branch == "optical" else m_rgb, evidence, RELAXATIONS[branch]
-        )
+        given = condition(image, depth_n, valid, mask, m_da if branch == "optical" else m_rgb, evidence)
         return ditr.denoise(branch, *given, steps, samples, torch.Generator().manual_seed(0))
 
     latents = [paint(branch) for branch in BRANCHES]

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.boundary import M_DA, M_RGB, boundary_maps, get_backend
 from ditr_lite.completion import Completion, check_inputs, compose, expected_error
-from ditr_lite.conditioning import CHANNELS, RELAXATIONS, Bounds, condition, depth_bounds, fit, to_tensor
+from ditr_lite.conditioning import CHANNELS, Bounds, condition, depth_bounds, fit, to_tensor
 from ditr_lite.config import Config
 from ditr_lite.detail import DetailNet, detail_input
 from ditr_lite.diffusion import sample
@@ -183,11 +183,11 @@ class Ditr:
         """
         depth_n, valid = _maps(depth, bounds)
         image, mask = to_tensor(rgb[None]), torch.from_numpy(region)[None, None].float()
-        edges, decoded = [torch.from_numpy(m)[None, None].float() for m in maps], []
+        edges = [torch.from_numpy(m)[None, None].float() for m in maps]
+        decoded = []
         for branch in self.painters:
             guide = torch.zeros_like(mask) if self.guides[branch] is None else edges[self.guides[branch]]
-            how = self.config.evidence and branch == "optical", RELAXATIONS[branch]
-            given = condition(image, depth_n, valid, mask, guide, *how)
+            given = condition(image, depth_n, valid, mask, guide, self.config.evidence and branch == "optical")
             generator = torch.Generator().manual_seed(2 * seed + BRANCHES.index(branch))
             decoded.append(self.decode(self.denoise(branch, *given, steps, samples, generator)))
         if "detail" in self.parts:

@@ -14,7 +14,7 @@ from torch.nn import functional as F
 from ditr_lite import diffusion
 from ditr_lite.augment import grow, lose_patches, mistake, reframe
 from ditr_lite.autoencoder import VQAutoencoder, autoencoder_loss
-from ditr_lite.conditioning import RELAXATIONS, condition, fill
+from ditr_lite.conditioning import condition, fill
 from ditr_lite.config import Config
 from ditr_lite.pipeline import detail_input
 from ditr_lite.region import IGNORE, region_loss
@@ -85,7 +85,7 @@ def branch_inputs(
             region = grow(region, int(rng.integers(-1, 5)))
     evidence = config.evidence and branch == "optical" and (rng is None or rng.random() > 0.2)
     guide = batch.guide_da if branch == "optical" else batch.guide_rgb
-    given = condition(batch.rgb, batch.depth_n, batch.valid, region, guide, evidence, RELAXATIONS[branch])
+    given = condition(batch.rgb, batch.depth_n, batch.valid, region, guide, evidence)
     paint = region if branch == "optical" else (1 - region) * (1 - batch.valid)
     return given, paint
 

@@ -23,7 +23,7 @@ from tqdm.auto import tqdm
 from ditr_lite import diffusion
 from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.boundary import ExactBoundary, boundary_maps, get_backend
-from ditr_lite.conditioning import CHANNELS, RELAXATIONS, fill
+from ditr_lite.conditioning import CHANNELS, fill
 from ditr_lite.config import Config, from_dict
 from ditr_lite.data import SAMPLES, read_sample
 from ditr_lite.files import write_json
@@ -63,13 +63,13 @@ def with_guide(batch: Batch, maps: np.ndarray) -> Batch:
 
 
 @torch.no_grad()
-def prepare(branch: str, autoencoder: VQAutoencoder, scenes: Scenes) -> tuple[torch.Tensor, torch.Tensor]:
+def prepare(autoencoder: VQAutoencoder, scenes: Scenes) -> tuple[torch.Tensor, torch.Tensor]:
     """Return Enc(truth) and Enc(known depth) of all scenes, (N, C, h, w): nothing is augmented, so once is enough."""
-    pairs, relaxations = [], RELAXATIONS[branch]
+    pairs = []
     for batch in batches(scenes, 1, colour=False):
         region = (batch.material > 0)[:, None].float()
         both = [(batch.gt_n, batch.gt_known), (batch.depth_n, batch.valid * (1 - region))]
-        pairs.append(autoencoder.encode(torch.cat([fill(depth, known, relaxations) for depth, known in both])))
+        pairs.append(autoencoder.encode(torch.cat([fill(depth, known) for depth, known in both])))
     targets, masked = torch.stack(pairs, dim=1)
     return targets, masked
 
@@ -110,7 +110,7 @@ def read(
 ) -> dict[str, list[float | None]]:
     """Return per type of guide the RMSE in metres of each frame where the branch must paint; None where it need not."""
     schedule, errors = make_schedule(config.schedule), {kind: [] for kind in READ}
-    t, masked = torch.full((len(READ),), schedule.timesteps - 1), prepare(branch, autoencoder, scenes)[1]
+    t, masked = torch.full((len(READ),), schedule.timesteps - 1), prepare(autoencoder, scenes)[1]
     for i, plain in enumerate(tqdm(batches(scenes, 1, colour=False), total=len(scenes), desc=f"reading {branch}")):
         given = []
         for k in range(len(READ)):
@@ -150,10 +150,10 @@ def main(arguments: list[str] | None = None) -> int:
     autoencoder.load_state_dict(load_part("autoencoder", args.weights))
     scenes, test = load_scenes(args.data, args.limit), load_scenes(args.test, args.test_limit)
     maps = guides(args.data, scenes.names, only=TRAINED)
+    latents = prepare(autoencoder, scenes)
     nets, notes, recipe = {}, {}, Recipe(steps=args.steps, batch=args.batch, lr=2e-3, warmup=20, decay=0.98)
     for branch in BRANCHES:
         torch.manual_seed(0)
-        latents = prepare(branch, autoencoder, scenes)
         nets[branch] = DenoisingUNet(config.unet, config.autoencoder.latent_channels, len(CHANNELS))
         notes[branch] = train_branch(branch, nets[branch], scenes, maps, latents, config, recipe, args.work)
     test_maps, branches = guides(args.test, test.names, args.weights), {}
