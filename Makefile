@@ -7,6 +7,7 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed-$(shell cat environment.txt pyproject.toml | cksum | cut -d' ' -f1)
 NBVAL := --nbval-lax --nbval-current-env --nbval-cell-timeout=120 --nbval-sanitize-with=tests/nbval_sanitize.cfg
 EXECUTE := -m nbconvert --execute --ExecutePreprocessor.record_timing=False --ExecutePreprocessor.timeout=600
+QUIET := --LabApp.news_url=None --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate # asks no network
 LIMIT ?= 16
 
 export OMP_NUM_THREADS ?= 2
@@ -20,15 +21,16 @@ help: ## list the targets
 
 # A new stamp for every content of the two files; an environment that is already there is brought up to date in place.
 $(STAMP):
+	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed: make PYTHON=python3.12')"
 	$(PYTHON) -m venv $(VENV)
 	$(PY) -m pip install --quiet -r environment.txt
 	rm -f $(VENV)/.installed-*
 	touch $@
 
 lab: $(STAMP) ## open the notebooks in JupyterLab
-	$(PY) -m jupyterlab --notebook-dir=. notebooks/00_start_here.ipynb
+	$(PY) -m jupyterlab $(QUIET) --notebook-dir=. notebooks/00_start_here.ipynb
 
-demo: $(STAMP) ## run the whole pipeline notebook, then print the score table
+demo: $(STAMP) ## run the whole pipeline notebook, then print the score table of the first LIMIT test scenes
 	$(PY) $(EXECUTE) --to html --template classic --output-dir outputs notebooks/06_full_pipeline.ipynb
 	$(PY) -m ditr_lite bench --split test --limit $(LIMIT) --json outputs/demo.json
 
@@ -51,14 +53,14 @@ students: $(STAMP) ## copies of the notebooks without the solutions, in outputs/
 book: $(STAMP) ## all notebooks as web pages, in outputs/book
 	$(PY) tools/book.py
 
-samples: $(STAMP) ## render the shipped scenes anew
-	$(PY) -m ditr_lite simulate $(ARGS)
+samples: $(STAMP) ## render the shipped scenes again, into outputs/samples
+	$(PY) -m ditr_lite simulate --out outputs/samples $(ARGS)
 
-train: $(STAMP) ## train every part from the rendered scenes
+train: $(STAMP) ## train every part from the rendered scenes; replaces the shipped weights unless ARGS="--out FOLDER"
 	$(PY) -m ditr_lite train --part all $(ARGS)
 
 bench: $(STAMP) ## score the shipped weights and every baseline on the whole test split
 	$(PY) -m ditr_lite bench --split test --json outputs/bench.json $(ARGS)
 
-clean: ## remove what was computed; the environment stays
-	rm -rf outputs .pytest_cache .ruff_cache .hypothesis
+clean: ## remove what is quickly made again; rendered scenes, training, copies for students and the environment stay
+	rm -rf outputs/book outputs/*.html outputs/*.json .pytest_cache .ruff_cache .hypothesis

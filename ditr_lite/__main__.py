@@ -119,7 +119,7 @@ def _floor(p: Parser) -> None:
 
 
 def _simulate(p: Parser) -> None:
-    p.add_argument("--split", choices=("train", "val", "test"), help="val and test hold out shapes and materials")
+    p.add_argument("--split", choices=("train", "val", "test"), help="only test holds out shapes and materials")
     p.add_argument("--sensor", metavar="NAME", help="d435, d415, l515 or structure instead of a random sensor")
     p.add_argument(
         "--export-as",

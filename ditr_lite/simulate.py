@@ -31,7 +31,7 @@ def simulate(seed: int, split: str = "train", keep_infrared: bool = False, prese
 
     Args:
         seed: scene seed; the same seed, split and machine give the same bytes.
-        split: ``train``, ``val`` or ``test`` (held-out shapes and materials).
+        split: ``train``, ``val``, or ``test``, which alone has held-out shapes and materials.
         keep_infrared: also return the infrared pair.
         preset: a name of ``sensors.PRESETS``; None draws a sensor at random.
 
