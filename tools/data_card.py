@@ -158,8 +158,8 @@ Every {stride}th scene of the test split: colour with the outline of the region,
 
 ## How they were made
 
-`python -m ditr_lite simulate --out DIR` (`make samples`) renders them again: Mitsuba 3, `scalar_rgb`, path-traced RGB (four
-passes of four paths a pixel, their median, then a camera's own denoising) and an infrared pair under a projected
+`python -m ditr_lite simulate --out DIR` (`make samples`) renders them again: Mitsuba 3, `scalar_rgb`, path-traced RGB
+(four passes of four paths a pixel, their median, then a camera's own denoising) and an infrared pair under a projected
 dot pattern (five paths a pixel), semi-global block matching, dropouts, reprojection into the RGB view.
 `ditr_lite/scenes.py`, `render.py`, `sensor.py` and `simulate.py` are the whole recipe. A scene follows from split
 and seed alone.
