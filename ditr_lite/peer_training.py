@@ -30,7 +30,7 @@ from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.config import Config, preset
 from ditr_lite.files import write_json
 from ditr_lite.pipeline import build
-from ditr_lite.scenedata import Batch, Scenes, draw, first, load_scenes
+from ditr_lite.scenedata import Batch, Scenes, checksum, draw, first, load_scenes
 from ditr_lite.schedule import make_schedule
 from ditr_lite.store import WEIGHTS, load_part, save_part
 from ditr_lite.training import Recipe, fit
@@ -99,7 +99,7 @@ def train_arm(
             parts[other].eval().requires_grad_(False)
         step = _step_loss(name, net, parts, scenes, config, seed)
         recipe = replace(RECIPE, steps=max(1, round(60 * minutes * share / times[name])))
-        notes = fit(f"{tag}-{seed}", net, step, recipe, work, seed=seed)
+        notes = fit(f"{tag}-{seed}", net, step, recipe, work, seed=seed, key=checksum(scenes))
         notes |= {"arm": arm, "minutes": minutes * share, "seed": seed, "scenes": len(scenes), "recipe": vars(recipe)}
         notes |= {"threads": torch.get_num_threads()}
         save_part(f"{tag}-{seed}", net.state_dict(), config, out, notes)

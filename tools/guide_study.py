@@ -28,7 +28,7 @@ from ditr_lite.config import Config, from_dict
 from ditr_lite.data import SAMPLES, read_sample
 from ditr_lite.files import write_json
 from ditr_lite.recipes import batches, branch_inputs
-from ditr_lite.scenedata import Batch, Scenes, draw, load_scenes
+from ditr_lite.scenedata import Batch, Scenes, checksum, draw, load_scenes
 from ditr_lite.schedule import make_schedule
 from ditr_lite.store import WEIGHTS, load_part, read_card, sha256
 from ditr_lite.summaries import bootstrap_mean, paired_bootstrap
@@ -101,7 +101,7 @@ def train_branch(
         mask = F.avg_pool2d(paint * batch.gt_known, 4) + 0.05
         return {"total": diffusion.loss(out, x0, eps, t, schedule, config.sampler.prediction, mask=mask)}
 
-    return fit(f"guide-{branch}", net, step_loss, recipe, work, every=100)
+    return fit(f"guide-{branch}", net, step_loss, recipe, work, every=100, key=checksum(scenes))
 
 
 @torch.no_grad()
