@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
@@ -142,3 +143,16 @@ def test_the_paper_map_is_written_and_checked(tmp_path, monkeypatch, capsys):
     assert paper_map.main(["--check"]) == 1 and "out of date" in capsys.readouterr().err
     assert paper_map.main([]) == 0 and paper_map.main(["--check"]) == 0
     assert (tmp_path / "PAPER_MAP.md").read_text() == (ROOT / "PAPER_MAP.md").read_text()
+
+
+def test_the_picture_shows_scenes_by_rank_and_cuts_them_to_what_matters():
+    picture = load("result_picture")
+    errors = {f"s{k}": {"ditr": {"optical": 0.01 * k}} for k in range(9)} | {"bare": {"ditr": {"optical": 9.0}}}
+    share = dict.fromkeys(errors, 0.06) | {"bare": 0.01}
+    assert picture.chosen(errors, share) == ["s2", "s4", "s6"]
+    region = np.zeros((192, 256), bool)
+    region[100:150, 200:250] = True
+    rows, cols = picture.cut(region)
+    assert region[rows, cols].sum() == region.sum()
+    assert 3 * (cols.stop - cols.start) == pytest.approx(4 * (rows.stop - rows.start), abs=4)
+    assert rows.stop <= 192 and cols.stop <= 256 and rows.start > 50
