@@ -230,10 +230,10 @@ def test_bench_adds_a_readers_method_and_what_everything_costs(scenes, weights, 
     monkeypatch.setattr(yardstick, "throughput", lambda ditr: speed)
     monkeypatch.setattr(yardstick, "compare_unets", lambda ditr, runs: dict.fromkeys(["ours"], UNET))
     monkeypatch.setattr(memory, "stage_peaks", lambda *_: defaultdict(lambda: 1.0))
-    (tmp_path / "mine.py").write_text("def half_a_metre(rgb, depth, region):\n    return 0 * depth + 0.5\n")
+    (tmp_path / "half.py").write_text("def half_a_metre(rgb, depth, region):\n    return 0 * depth + 0.5\n")
     monkeypatch.chdir(tmp_path)
     argv = ["bench", "--root", str(scenes), "--limit", "1", "--steps", "1", "--samples", "1", "--runs", "5"]
-    argv += ["--method", "mine:half_a_metre", "--weights", str(weights), "--given-region", "--json", "b.json"]
+    argv += ["--method", "half:half_a_metre", "--weights", str(weights), "--given-region", "--json", "b.json"]
     assert main(argv) == 0
     printed = capsys.readouterr().out
     assert "stage two: geometric branch" in printed and "half_a_metre" in printed and "1280 x 720" in printed
