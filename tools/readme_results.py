@@ -8,6 +8,7 @@ import json
 from pathlib import Path
 
 from ditr_lite import peer_study
+from ditr_lite.store import read_card
 
 START, END = "<!-- results: tools/readme_results.py -->", "<!-- end of results -->"
 SETS = ("optical", "optical_valid", "geometric", "outside", "whole")
@@ -103,6 +104,36 @@ def peers(result: dict) -> str:
     return "\n".join([*lines, "", f"Command: `{result['command']}`, after `tools/train_peer.py` for every arm."])
 
 
+def costs(result: dict) -> str:
+    """Return the paragraph about time and memory."""
+    cost, takes = result["cost"], []
+    for frame in cost["frames"]:
+        (whole,) = (row for row in frame["stages"] if row["stage"] == "whole")
+        height, width = frame["size"]
+        takes.append(f"{width} x {height}: {whole['ms']:.0f} ms, peak memory {whole['peak_mb']:.0f} MB")
+    ours, theirs = (cost["unets"][name]["ms_per_gflop"] for name in ("ours", "diffusers"))
+    return (
+        f"**What a frame costs**, on {cost['machine']['cores']} cores of one machine, median "
+        f"of {cost['runs']} runs: {'; '.join(takes)}. The denoiser takes {ours:.1f} ms a GFLOP, diffusers' U-Net of "
+        f"its size {theirs:.1f}. Other machines differ by factors: `python -m ditr_lite bench` measures yours."
+    )
+
+
+def training(card: dict) -> str:
+    """Return the table of how the shipped networks were trained."""
+    lines = [
+        "**How the shipped networks were trained**, by the card of the weights:",
+        "",
+        "| network | scenes | steps | minutes |",
+        "|---|---:|---:|---:|",
+    ]
+    for name, part in card["parts"].items():
+        nets = [part] if "steps" in part else [value for value in part.values() if isinstance(value, dict)]
+        steps, minutes = sum(net["steps"] for net in nets), sum(net["seconds"] for net in nets) / 60
+        lines.append(f"| {name} | {part['scenes']:,} | {steps:,} | {minutes:.0f} |")
+    return "\n".join(lines)
+
+
 def _interval(values: list[float] | None, factor: float, style: str) -> str:
     if values is None:
         return "–"
@@ -125,6 +156,10 @@ def main() -> None:
         made += "\n\n" + real(json.loads(frames.read_text(encoding="utf-8")))
     if peer_study.RESULTS.is_file():
         made += "\n\n" + peers(peer_study.load_results())
+    bench = args.json.with_name("results_bench.json")
+    if bench.is_file():
+        made += "\n\n" + costs(json.loads(bench.read_text(encoding="utf-8")))
+    made += "\n\n" + training(read_card())
     args.readme.write_text(f"{before}{START}\n{made}\n{END}{after}", encoding="utf-8")
 
 
