@@ -5,7 +5,7 @@ one split at once: same frames, same region from stage one, same pixels.
 """
 
 import json
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from ditr_lite.completion import Completion
 from ditr_lite.config import from_dict
 from ditr_lite.data import Sample
 from ditr_lite.floor import reconstruct
-from ditr_lite.peers import NAMES, load_peers
+from ditr_lite.peers import load_peers
 from ditr_lite.pipeline import Ditr, build
 from ditr_lite.store import WEIGHTS, load_part, load_parts, read_card
 from ditr_lite.summaries import bootstrap_mean, paired_bootstrap, ratio_bootstrap
@@ -66,21 +66,17 @@ def arm_system(folder: Path | str, arm: str, seed: int) -> Ditr:
     return Ditr(parts, config)
 
 
-def methods(
-    ditr: Ditr, folder: Path | str, seeds: Sequence[int] = (0, 1), kept: Collection[str] = ()
-) -> dict[str, Method]:
+def methods(ditr: Ditr, folder: Path | str, seeds: Sequence[int] = (0, 1)) -> dict[str, Method]:
     """Return every method of the study: the shipped system with its oracles, baselines, peers, ablation, equal time.
 
     Args:
         ditr: the shipped system.
         folder: weights of peers and arms.
         seeds: of BB and +DP.
-        kept: rows that have been scored; they are left out where their network is not in the folder.
 
     Raises:
-        ValueError: when something else has not been trained.
+        ValueError: when something has not been trained.
     """
-    there = read_card(folder)["parts"]
     plain = Swapped(ditr, SWAPS["no detail"])
     rows: dict[str, Method] = {
         SHIPPED: lambda s, out: out.depth,
@@ -94,17 +90,14 @@ def methods(
     }
     for name, method in REGISTRY.items():
         rows[name] = _composed(method)
-    peers = load_peers(folder) if not kept or any(f"{name}-0" in there for name in NAMES) else {}
-    for name, peer in peers.items():
+    for name, peer in load_peers(folder).items():
         rows[f"{name}, bare"] = lambda s, out, peer=peer: peer(s.rgb, s.depth)
         rows[name] = _composed(peer)
     equal = arm_system(folder, "ditr", 0)
     rows[EQUAL] = lambda s, out: equal(s.rgb, s.depth, out.region).depth
     for seed in seeds:
-        two = arm_system(folder, "dp", seed)
-        if f"single_latent_diffusion-{seed}" in there or f"BB, seed {seed}" not in kept:
-            single = load_peers(folder, seed)["single_latent_diffusion"]
-            rows[f"BB, seed {seed}"] = lambda s, out, single=single: single(s.rgb, s.depth)
+        single, two = load_peers(folder, seed)["single_latent_diffusion"], arm_system(folder, "dp", seed)
+        rows[f"BB, seed {seed}"] = lambda s, out, single=single: single(s.rgb, s.depth)
         rows[f"+DP, seed {seed}"] = lambda s, out, two=two: two(s.rgb, s.depth, out.probability > 0.5).depth
         rows[f"+RR, seed {seed}"] = lambda s, out, two=two: two(s.rgb, s.depth, out.region).depth
     return rows

@@ -111,14 +111,3 @@ def test_every_method_is_asked_about_every_frame():
     rows = {"ditr": lambda s, out: out.depth, "truth": lambda s, out: np.where(s.depth_gt > 0, s.depth_gt, 1)}
     (found,) = peer_study.run([sample], ditr, rows).values()
     assert set(found) == {"ditr", "truth"} and found["truth"]["optical"] == 0 < found["ditr"]["optical"]
-
-
-def test_only_networks_that_were_scored_may_be_missing(monkeypatch, tmp_path):
-    monkeypatch.setattr(peer_study, "read_card", lambda folder: {"parts": {}})
-    monkeypatch.setattr(peer_study, "arm_system", lambda folder, arm, seed: None)
-    monkeypatch.setattr(peer_study, "Swapped", lambda ditr, swap: None)
-    rows = peer_study.methods(None, tmp_path, seeds=(0,), kept=["BB, seed 0", "regression"])
-    assert {"ditr", "harmonic", "+DP, seed 0", peer_study.EQUAL} <= set(rows)
-    assert not {"BB, seed 0", "regression"} & set(rows)
-    with pytest.raises(ValueError, match="no weights in"):
-        peer_study.methods(None, tmp_path, seeds=(0,), kept=["regression"])

@@ -1,6 +1,6 @@
 """Score DITR, its learned peers, its ablation and its oracles on one split, in one run.
 
-python tools/peer_study.py [--split test] [--limit N] [--peers outputs/peers] [--workers 2] [--json FILE] [--keep]
+python tools/peer_study.py [--split test] [--limit N] [--peers outputs/peers] [--workers 2] [--json FILE]
 
 The peers and arms must have been trained: `for arm in regression single_latent_diffusion ... dp ditr; do
 python tools/train_peer.py $arm --minutes M; done`, BB (single_latent_diffusion) and dp also with `--seed 1`.
@@ -23,11 +23,11 @@ from ditr_lite.store import read_card
 STUDY = {}  # of a worker: the system and the methods, built once
 
 
-def begin(peers: Path, threads: int, kept: list[str]) -> None:
+def begin(peers: Path, threads: int) -> None:
     """Build what a worker scores frames with."""
     torch.set_num_threads(threads)
     ditr = dl.Ditr.from_pretrained()
-    STUDY.update(ditr=ditr, rows=peer_study.methods(ditr, peers, kept=kept))
+    STUDY.update(ditr=ditr, rows=peer_study.methods(ditr, peers))
 
 
 def score(name: str) -> dict:
@@ -43,20 +43,16 @@ def main() -> None:
     parser.add_argument("--peers", type=Path, default=Path("outputs/peers"))
     parser.add_argument("--workers", type=int, default=2, help="frames at a time (%(default)s)")
     parser.add_argument("--json", type=Path, default=peer_study.RESULTS)
-    parser.add_argument("--keep", action="store_true", help="keep the rows of --json whose networks are not in --peers")
     args = parser.parse_args()
+    peer_study.methods(dl.Ditr.from_pretrained(), args.peers)  # a worker without weights would be restarted for ever
     names, scores = dl.list_samples(args.split)[: args.limit], {}
-    before = peer_study.load_results(args.json) if args.keep else {"rmse_m": {n: {} for n in names}, "trained": {}}
-    kept = list(before["rmse_m"][names[0]])
-    # here, since a worker without weights would be restarted for ever
-    peer_study.methods(dl.Ditr.from_pretrained(), args.peers, kept=kept)
     threads = max(1, torch.get_num_threads() // args.workers)
-    with multiprocessing.get_context("spawn").Pool(args.workers, begin, (args.peers, threads, kept)) as pool:
+    with multiprocessing.get_context("spawn").Pool(args.workers, begin, (args.peers, threads)) as pool:
         for found in tqdm(pool.imap(score, names), total=len(names), desc="frames", unit="frame"):
-            scores |= {n: before["rmse_m"][n] | row for n, row in found.items()}  # in the order in which they stood
+            scores |= found
     report = peer_study.summarise(scores)
     card = read_card(args.peers)["parts"]
-    report["trained"] = before["trained"] | {
+    report["trained"] = {
         name: {k: part[k] for k in ("arm", "minutes", "seed", "steps", "scenes", "sha256")}
         for name, part in card.items()
     }
