@@ -20,7 +20,7 @@ from ditr_lite.pipeline import build
 from ditr_lite.region import region_probability
 from ditr_lite.scenedata import Scenes, checksum, load_scenes
 from ditr_lite.schedule import make_schedule
-from ditr_lite.store import CARD, WEIGHTS, load_part, read_card, save_part
+from ditr_lite.store import CARD, WEIGHTS, copy_weights, load_part, read_card, save_part
 from ditr_lite.training import Recipe, fit
 
 PARTS = ("autoencoder", "region", "optical", "geometric", "detail")  # in the order in which they need each other
@@ -61,7 +61,8 @@ def train(
         limit: use only the first scenes.
         seed: of everything random.
         boundary: backend of the guides.
-        start: weights folder to go on from, such as the shipped one for frames of your own; None begins afresh.
+        start: weights folder to go on from, such as the shipped one for frames of your own; its other parts are
+            copied to ``out`` if that is empty. None begins afresh.
         command: that asked for it, for the card.
 
     Returns:
@@ -117,13 +118,16 @@ def train_on(
         ValueError: as :func:`train`, and for a checkpoint of another run in ``work``.
     """
     check_same_system(config, out)
+    if start is not None:
+        check_same_system(config, start, NETWORKS)
+        if not (Path(out) / CARD).is_file():
+            copy_weights(start, out)  # the other parts come along: what is trained on stays a whole system
     torch.manual_seed(seed)
     parts = build(config)
     for name in NEEDS.get(part, []):
         parts[name].load_state_dict(load_part(name, out))
         parts[name].eval().requires_grad_(False)
     if start is not None:
-        check_same_system(config, start, NETWORKS)
         parts[part].load_state_dict(load_part(part, start))
         remarks["start_sha256"] = read_card(start)["parts"][part]["sha256"]
     model = parts[part].to(memory_format=torch.channels_last)

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from ditr_lite.config import Config, from_dict, preset, to_dict
+from ditr_lite.files import written_whole
 
 WEIGHTS = Path(__file__).resolve().parent / "weights"
 CARD = "card.json"
@@ -90,6 +92,19 @@ def load_part(name: str, folder: Path | str | None = None) -> dict[str, Tensor]:
     except Exception as error:  # safetensors raises its own type for a malformed file
         raise ValueError(f"{path} cannot be read as safetensors: {error}") from None
     return {k: v.to(torch.float32) if v.is_floating_point() else v for k, v in tensors.items()}
+
+
+def copy_weights(source: Path | str, folder: Path | str) -> None:
+    """Copy a weights folder, its card last: until then the copy is none.
+
+    Raises:
+        ValueError: when there are no weights in ``source``.
+    """
+    source, folder = Path(source), Path(folder)
+    card = read_card(source)
+    for file in (*(f"{name}.safetensors" for name in card["parts"]), CARD):
+        with written_whole(folder / file) as part:
+            shutil.copyfile(source / file, part)
 
 
 def load_parts(path: Path | str | None = None, name: str = "lite") -> tuple[Config, dict[str, dict[str, Tensor]]]:

@@ -85,6 +85,9 @@ def test_training_goes_on_from_given_weights(trained, data, tmp_path):
     then, now = (load_part("region", folder) for folder in (home / "weights", tmp_path / "out"))
     learnt = [k for k in then if "running" not in k and "num_batches" not in k]
     assert all(torch.equal(then[k], now[k]) for k in learnt)
+    assert set(read_card(tmp_path / "out")["parts"]) == set(PARTS)  # the others came along
+    sample = read_sample(data / "val_00000")
+    assert dl.Ditr.from_pretrained(path=tmp_path / "out")(sample.rgb, sample.depth, samples=1).depth.all()
     with pytest.raises(ValueError, match="another region setting"):
         go("region", data, tmp_path, override(TINY, **{"region.width": 16}), start=home / "weights")
 
