@@ -7,7 +7,7 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed-$(shell cat environment.txt pyproject.toml | cksum | cut -d' ' -f1)
 NBVAL := --nbval-lax --nbval-current-env --nbval-cell-timeout=120 --nbval-sanitize-with=tests/nbval_sanitize.cfg
 EXECUTE := -m nbconvert --execute --ExecutePreprocessor.record_timing=False --ExecutePreprocessor.timeout=600
-QUIET := --LabApp.news_url=None --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate # asks no network
+NEWS := @jupyterlab/apputils-extension:announcements # would ask the network, and the reader first
 LIMIT ?= 16
 
 export OMP_NUM_THREADS ?= 2
@@ -28,7 +28,8 @@ $(STAMP):
 	touch $@
 
 lab: $(STAMP) ## open the notebooks in JupyterLab
-	$(PY) -m jupyterlab $(QUIET) --notebook-dir=. notebooks/00_start_here.ipynb
+	$(PY) -m jupyter labextension disable --level=sys_prefix $(NEWS) 2>/dev/null
+	$(PY) -m jupyterlab --notebook-dir=. notebooks/00_start_here.ipynb
 
 demo: $(STAMP) ## run the whole pipeline notebook, then print the score table of the first LIMIT test scenes
 	$(PY) $(EXECUTE) --to html --template classic --output-dir outputs notebooks/06_full_pipeline.ipynb

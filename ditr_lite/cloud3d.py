@@ -78,7 +78,7 @@ def interactive(
         figure.add_trace(go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, name=title, scene=scene))
         width = 1 / len(clouds)
         placed = {"x": [k * width, (k + 1) * width], "y": [0, 1]}
-        eye = {"x": 0.9, "y": -1.4, "z": 0.7}  # from the camera's side, a little above and to the right
+        eye = {"x": 1.35, "y": -2.1, "z": 1.05}  # from the camera's side, a little above and to the right
         figure.update_layout(
             {
                 scene: {
