@@ -28,7 +28,7 @@ $(STAMP):
 	touch $@
 
 lab: $(STAMP) ## open the notebooks in JupyterLab
-	$(PY) -m jupyter labextension disable --level=sys_prefix $(NEWS) 2>/dev/null
+	$(PY) -m jupyterlab.labextensions disable --level=sys_prefix $(NEWS) 2>/dev/null
 	$(PY) -m jupyterlab --notebook-dir=. notebooks/00_start_here.ipynb
 
 demo: $(STAMP) ## run the whole pipeline notebook, then print the score table of the first LIMIT test scenes

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -55,24 +54,21 @@ def save_part(name: str, state: dict[str, Tensor], config: Config, folder: Path 
     Files appear whole or not at all.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}.safetensors"
     half = {k: (v.half() if v.is_floating_point() else v).contiguous().cpu() for k, v in state.items()}
     write_tensors(half, path)
     card = read_card(folder) if (folder / CARD).is_file() else {"parts": {}}
     card["config"] = to_dict(config)
     card["parts"][name] = {**notes, "sha256": sha256(path)}
-    part = folder / f"{CARD}.part"
-    part.write_text(json.dumps(card, indent=1) + "\n")
-    os.replace(part, folder / CARD)
+    with written_whole(folder / CARD) as part:  # as plain JSON: a curve may hold NaN where nothing could be scored
+        part.write_text(json.dumps(card, indent=1) + "\n")
     return path
 
 
 def write_tensors(tensors: dict[str, Tensor], path: Path, metadata: dict[str, str] | None = None) -> None:
     """Write tensors as safetensors through a temporary name."""
-    part = path.with_name(path.name + ".part")
-    save_file(tensors, str(part), metadata=metadata)
-    os.replace(part, path)
+    with written_whole(path) as part:
+        save_file(tensors, str(part), metadata=metadata)
 
 
 def load_part(name: str, folder: Path | str | None = None) -> dict[str, Tensor]:
