@@ -8,13 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import torch
-from torch import nn
 
-from ditr_lite import recipes
-from ditr_lite.config import Config
-from ditr_lite.scenedata import Scenes
-from ditr_lite.schedule import make_schedule
 from ditr_lite.summaries import bootstrap_mean, paired_bootstrap
 
 
@@ -101,27 +95,3 @@ def seed_verdict(name: str, a: Sequence[Sequence[float]], b: Sequence[Sequence[f
     gain = compare_seeds(a, b)
     said = "clear" if gain.clear else "not clear"
     return f"{verdict(name, gain[:3], other)}; seeds {1000 * gain.seeds:.1f} mm apart: {said}"
-
-
-@torch.no_grad()
-def scene_errors(
-    branch: str, net: nn.Module, autoencoder: nn.Module, scenes: Scenes, config: Config, seed: int = 0
-) -> np.ndarray:
-    """Return the RMSE (N,) in metres of what one branch paints in one step, per scene, with the true region.
-
-    Args:
-        branch: "optical" or "geometric"; it says which pixels count.
-        net: its denoiser, trained or not.
-        autoencoder: of the latents.
-        scenes: to paint; one without such pixels scores NaN.
-        config: of net and schedule.
-        seed: of the noise.
-    """
-    found, plan = [], make_schedule(config.schedule)
-    for batch in recipes.batches(scenes, 8):
-        given, paint = recipes.branch_inputs(branch, batch, config)
-        decoded = recipes.one_step(net, autoencoder, given, plan, config, seed)
-        where = paint * batch.gt_known
-        square = ((decoded - batch.gt_n) * batch.scale_m).square() * where
-        found.append((square.sum((1, 2, 3)) / where.sum((1, 2, 3))).sqrt())  # 0 / 0 is NaN
-    return torch.cat(found).numpy()

@@ -198,13 +198,31 @@ def validate_autoencoder(model: nn.Module, val: Scenes) -> dict[str, float]:
 
 
 def validate_branch(branch: str, parts: nn.ModuleDict, val: Scenes, config: Config) -> dict[str, float]:
-    """Return the error in metres of one step from pure noise, with the true region, where this branch must paint."""
-    schedule, errors = make_schedule(config.schedule), []
-    for batch in recipes.batches(val, 8):
-        given, paint = recipes.branch_inputs(branch, batch, config)
-        decoded = recipes.one_step(parts[branch], parts["autoencoder"], given, schedule, config, seed=0)
-        errors += _rmse((decoded - batch.gt_n) * batch.scale_m, paint * batch.gt_known)
+    """Return the mean over scenes of :func:`scene_errors`."""
+    errors = scene_errors(branch, parts[branch], parts["autoencoder"], val, config)
     return {"val_rmse_m": float(np.nanmean(errors))}
+
+
+@torch.no_grad()
+def scene_errors(
+    branch: str, net: nn.Module, autoencoder: nn.Module, scenes: Scenes, config: Config, seed: int = 0
+) -> np.ndarray:
+    """Return the RMSE (N,) in metres, per scene, of one step from pure noise, with the true region.
+
+    Args:
+        branch: "optical" or "geometric"; it says where must be painted, which is what counts.
+        net: its denoiser, trained or not.
+        autoencoder: of the latents.
+        scenes: to paint; one without such pixels scores NaN.
+        config: of net and schedule.
+        seed: of the noise.
+    """
+    schedule, errors = make_schedule(config.schedule), []
+    for batch in recipes.batches(scenes, 8):
+        given, paint = recipes.branch_inputs(branch, batch, config)
+        decoded = recipes.one_step(net, autoencoder, given, schedule, config, seed)
+        errors += _rmse((decoded - batch.gt_n) * batch.scale_m, paint * batch.gt_known)
+    return np.array(errors)
 
 
 def validate_detail(model: nn.Module, painted, count: int) -> dict[str, float]:

@@ -1,12 +1,7 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
-import torch
 
-from ditr_lite import ablation, recipes, scenedata
-from ditr_lite.config import Config
-from ditr_lite.data import SAMPLES
+from ditr_lite import ablation
 from ditr_lite.summaries import paired_bootstrap
 
 
@@ -67,33 +62,3 @@ def test_a_verdict_of_seeds_says_whether_it_beats_them():
     text = ablation.seed_verdict("a", a, b, "b")
     assert text == "a: a smaller error than b (-9.5 mm [-9.5, -9.5]); seeds 1.0 mm apart: clear"
     assert ablation.seed_verdict("b", b, [[0.030, 0.040], [0.045, 0.055]], "c").endswith("15.0 mm apart: not clear")
-
-
-class Truth:
-    """An "autoencoder" that decodes to the truth, but for 10 mm inside the region."""
-
-    def __init__(self, scenes):
-        self.batches = recipes.batches(scenes, 8)
-
-    def encode(self, x):
-        return torch.zeros(len(x), 3, 4, 4)
-
-    def decode(self, z):
-        batch = next(self.batches)
-        return batch.gt_n + 0.01 / batch.scale_m * (batch.material > 0)[:, None]
-
-
-class Blank:
-    def features(self, image):
-        return image
-
-    def __call__(self, noise, *given):
-        return noise
-
-
-@pytest.mark.parametrize(("branch", "due"), [("optical", 0.01), ("geometric", 0.0)])
-def test_errors_of_a_branch_are_those_of_its_own_pixels(branch, due):
-    full = scenedata.load_scenes(SAMPLES / "val", limit=9)  # one more than a batch
-    scenes = replace(full, guides=np.zeros((9, 2, *full.depth.shape[1:]), np.uint8))
-    found = ablation.scene_errors(branch, Blank(), Truth(scenes), scenes, Config())
-    np.testing.assert_allclose(found, due, atol=1e-6)

@@ -1,12 +1,15 @@
 import shutil
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 import ditr_lite as dl
-from ditr_lite.config import override, preset
+from ditr_lite import recipes
+from ditr_lite.config import Config, override, preset
 from ditr_lite.data import SAMPLES, Sample, read_sample, save_sample
-from ditr_lite.fitting import PARTS, check_same_system, folder_name, train, train_on
+from ditr_lite.fitting import PARTS, check_same_system, folder_name, scene_errors, train, train_on
 from ditr_lite.scenedata import load_scenes
 from ditr_lite.store import load_part, read_card
 from ditr_lite.training import Recipe
@@ -151,3 +154,33 @@ def test_what_cannot_be_trained_is_refused(trained, data, tmp_path):
         go("optical", data, tmp_path)
     with pytest.raises(ValueError, match="holds weights of another unet setting"):
         go("optical", data, home, override(TINY, **{"unet.width": 16}))
+
+
+class Truth:
+    """An "autoencoder" that decodes to the truth, but for 10 mm inside the region."""
+
+    def __init__(self, scenes):
+        self.batches = recipes.batches(scenes, 8)
+
+    def encode(self, x):
+        return torch.zeros(len(x), 3, 4, 4)
+
+    def decode(self, z):
+        batch = next(self.batches)
+        return batch.gt_n + 0.01 / batch.scale_m * (batch.material > 0)[:, None]
+
+
+class Blank:
+    def features(self, image):
+        return image
+
+    def __call__(self, noise, *given):
+        return noise
+
+
+@pytest.mark.parametrize(("branch", "due"), [("optical", 0.01), ("geometric", 0.0)])
+def test_errors_of_a_branch_are_those_of_its_own_pixels(branch, due):
+    full = load_scenes(SAMPLES / "val", limit=9)  # one more than a batch
+    scenes = replace(full, guides=np.zeros((9, 2, *full.depth.shape[1:]), np.uint8))
+    found = scene_errors(branch, Blank(), Truth(scenes), scenes, Config())
+    np.testing.assert_allclose(found, due, atol=1e-6)
