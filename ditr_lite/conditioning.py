@@ -68,8 +68,17 @@ class Frame:
             method = cv2.INTER_AREA if self.height < self.source[0] else cv2.INTER_LINEAR
         kind = np.uint8 if image.dtype == bool else image.dtype
         small = cv2.resize(image.astype(kind), (self.width, self.height), interpolation=method)
-        pad = ((0, self.size[0] - self.height), (0, self.size[1] - self.width))
-        return np.pad(small, pad + ((0, 0),) * (image.ndim - 2)).astype(image.dtype)
+        return np.pad(small, self.padding + ((0, 0),) * (image.ndim - 2)).astype(image.dtype)
+
+    @property
+    def padding(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Rows before and after, columns before and after the image."""
+        return (0, self.size[0] - self.height), (0, self.size[1] - self.width)
+
+    @property
+    def picture(self) -> np.ndarray:
+        """(H, W) bool at the working size, False in the padding."""
+        return np.pad(np.ones((self.height, self.width), bool), self.padding)
 
     def on_picture(self, find: Callable[..., tuple], *images: np.ndarray, **settings) -> tuple[np.ndarray, ...]:
         """Call ``find`` with images less their padding, whose edge it would take for a boundary; pad what it returns.
@@ -83,8 +92,7 @@ class Frame:
             the maps at the working size, 0 in the padding.
         """
         found = find(*(image[: self.height, : self.width] for image in images), **settings)
-        pad = ((0, self.size[0] - self.height), (0, self.size[1] - self.width))
-        return tuple(np.pad(m, pad) for m in found)
+        return tuple(np.pad(m, self.padding) for m in found)
 
     def back(self, image: np.ndarray) -> np.ndarray:
         """Bring a map (H, W) back from the working size: masks by nearest, depth smoothly but not over edges."""
@@ -127,6 +135,13 @@ def fill(depth_n: Tensor, known: Tensor) -> Tensor:
     coarse = fill(mean, (share > 0).to(known.dtype))
     fine = F.interpolate(coarse, size=depth_n.shape[2:], mode="bilinear", align_corners=False)
     return torch.where(known > 0, depth_n, fine)
+
+
+def depth_tensors(depth: np.ndarray, bounds: Bounds) -> tuple[Tensor, Tensor]:
+    """Return normalised depth, 0 where missing, and its validity 0/1, (1, 1, H, W) float32 each, of (H, W) metres."""
+    valid = torch.from_numpy((depth > 0).astype(np.float32))[None, None]
+    depth_n = torch.from_numpy(bounds.normalise(depth).astype(np.float32))[None, None]
+    return depth_n * valid, valid
 
 
 def to_tensor(rgb: np.ndarray) -> Tensor:

@@ -118,8 +118,7 @@ def stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | 
     if out.probability is None or sample.region is None:
         return None
     frame = fit(sample.depth.shape, ditr.config.size)
-    inside = frame.into(np.ones(sample.depth.shape, bool))  # not the padding
-    refined = frame.back(ditr.refine(frame.into(sample.region)) & inside)
+    refined = frame.back(ditr.refine(frame.into(sample.region)) & frame.picture)
     scores = {
         "iou": metrics.iou(out.probability > 0.5, sample.region),
         "miss_rate": metrics.miss_rate(out.region, sample.region),

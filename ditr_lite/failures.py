@@ -87,9 +87,8 @@ def overlap(instances: np.ndarray, region: np.ndarray) -> float:
 def found_region(ditr: Ditr, sample: Sample) -> np.ndarray:
     """Return the refined region (H, W) bool that stage one finds, without running stage two."""
     frame = fit(sample.depth.shape, ditr.config.size)
-    small, inside = frame.into(sample.depth), frame.into(np.ones(sample.depth.shape, bool))
-    probability = ditr.region_probability(frame.into(sample.rgb), small, depth_bounds(sample.depth))
-    return frame.back(ditr.refine(probability > 0.5) & inside)
+    small = frame.into(sample.rgb), frame.into(sample.depth)
+    return frame.back(ditr.find_region(*small, depth_bounds(sample.depth), frame)[1])
 
 
 def spearman(x: Sequence[float], y: Sequence[float]) -> float:

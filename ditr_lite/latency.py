@@ -17,7 +17,7 @@ import torch
 from tqdm.auto import tqdm
 
 from ditr_lite.boundary import boundary_maps
-from ditr_lite.conditioning import condition, depth_bounds, fit, to_tensor
+from ditr_lite.conditioning import condition, depth_bounds, depth_tensors, fit, to_tensor
 from ditr_lite.data import Sample
 from ditr_lite.pipeline import BRANCHES, Ditr
 from ditr_lite.unet import count_flops
@@ -113,17 +113,14 @@ def stages(
     rgb, depth, bounds = frame.into(sample.rgb), frame.into(sample.depth), depth_bounds(sample.depth)
 
     def find() -> np.ndarray:
-        return ditr.refine(ditr.region_probability(rgb, depth, bounds) > 0.5) & frame.into(
-            np.ones(sample.depth.shape, bool)
-        )
+        return ditr.find_region(rgb, depth, bounds, frame)[1]
 
     def guide() -> tuple[np.ndarray, ...]:
         return frame.on_picture(boundary_maps, rgb, depth, backend=ditr.backend)
 
     region, maps, image = find(), guide(), to_tensor(rgb[None])
-    known = depth > 0
-    tensors = (np.where(known, bounds.normalise(depth), 0), known, region, maps[0], maps[2])
-    depth_n, valid, mask, m_rgb, m_da = (torch.from_numpy(a.astype(np.float32))[None, None] for a in tensors)
+    depth_n, valid = depth_tensors(depth, bounds)
+    mask, m_rgb, m_da = (torch.from_numpy(a.astype(np.float32))[None, None] for a in (region, maps[0], maps[2]))
 
     def paint(branch: str) -> torch.Tensor:
         evidence = ditr.config.evidence and branch == "optical"

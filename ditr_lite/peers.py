@@ -26,7 +26,7 @@ from torch import Tensor, nn
 from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.baselines import Fill
 from ditr_lite.boundary import boundary_maps, get_backend
-from ditr_lite.conditioning import CHANNELS, Bounds, condition, depth_bounds, fill, fit, to_tensor
+from ditr_lite.conditioning import CHANNELS, Bounds, condition, depth_bounds, depth_tensors, fill, fit, to_tensor
 from ditr_lite.config import Config, from_dict
 from ditr_lite.diffusion import sample
 from ditr_lite.gradient_solve import solve
@@ -145,8 +145,7 @@ class Peer:
         small = frame.into(depth)
         outside = small if region is None else np.where(frame.into(region), 0, small)
         outside = outside if outside.any() else small  # nothing but the region was read: better than nothing
-        image, valid = to_tensor(frame.into(rgb)[None]), torch.from_numpy((small > 0).astype(np.float32))[None, None]
-        depth_n = torch.from_numpy(bounds.normalise(small).astype(np.float32))[None, None] * valid
+        image, (depth_n, valid) = to_tensor(frame.into(rgb)[None]), depth_tensors(small, bounds)
         if self.name == "single_latent_diffusion":
             m_rgb = frame.on_picture(boundary_maps, frame.into(rgb), small, backend=get_backend("classical"))[0]
             metres = bounds.denormalise(self._denoise(m_rgb, image, depth_n, valid))

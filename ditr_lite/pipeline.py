@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.boundary import M_DA, M_RGB, boundary_maps, get_backend
 from ditr_lite.completion import Completion, check_inputs, compose, expected_error
-from ditr_lite.conditioning import CHANNELS, Bounds, condition, depth_bounds, fit, to_tensor
+from ditr_lite.conditioning import CHANNELS, Bounds, Frame, condition, depth_bounds, depth_tensors, fit, to_tensor
 from ditr_lite.config import Config
 from ditr_lite.detail import DetailNet, detail_input
 from ditr_lite.diffusion import sample
@@ -119,8 +119,7 @@ class Ditr:
         small_rgb, small = frame.into(rgb), frame.into(depth)
         probability = None
         if region is None:
-            probability = self.region_probability(small_rgb, small, bounds)
-            small_region = self.refine(probability > 0.5) & frame.into(np.ones(depth.shape, bool))
+            probability, small_region = self.find_region(small_rgb, small, bounds, frame)
             region = frame.back(small_region)
         else:
             small_region = frame.into(region)
@@ -144,9 +143,14 @@ class Ditr:
             geometric=means[1],
         )
 
+    def find_region(self, rgb: np.ndarray, depth: np.ndarray, bounds: Bounds, frame: Frame) -> tuple[np.ndarray, ...]:
+        """Run stage one at the working size: probability and refined region, which leaves the padding out; (H, W)."""
+        probability = self.region_probability(rgb, depth, bounds)
+        return probability, self.refine(probability > 0.5) & frame.picture
+
     def region_probability(self, rgb: np.ndarray, depth: np.ndarray, bounds: Bounds) -> np.ndarray:
         """Run stage one at the working size: (H, W) float32 probability of transparent or reflective."""
-        depth_n, valid = _maps(depth, bounds)
+        depth_n, valid = depth_tensors(depth, bounds)
         outputs = self.parts["region"](*self._put(to_tensor(rgb[None]), depth_n, valid))
         return region_probability(outputs)[0, 0].cpu().numpy()
 
@@ -181,15 +185,16 @@ class Ditr:
         Returns:
             optical and geometric repaintings, each (samples, H, W) float32 metres.
         """
-        depth_n, valid = _maps(depth, bounds)
+        depth_n, valid = depth_tensors(depth, bounds)
         image, mask = to_tensor(rgb[None]), torch.from_numpy(region)[None, None].float()
         edges = [torch.from_numpy(m)[None, None].float() for m in maps]
-        decoded = []
-        for branch in self.painters:
+        painted = {}
+        for branch in dict.fromkeys(self.painters):  # one that paints everything does so once
             guide = torch.zeros_like(mask) if self.guides[branch] is None else edges[self.guides[branch]]
             given = condition(image, depth_n, valid, mask, guide, self.config.evidence and branch == "optical")
             generator = torch.Generator().manual_seed(2 * seed + BRANCHES.index(branch))
-            decoded.append(self.decode(self.denoise(branch, *given, steps, samples, generator)))
+            painted[branch] = self.decode(self.denoise(branch, *given, steps, samples, generator))
+        decoded = [painted[branch] for branch in self.painters]
         if "detail" in self.parts:
             decoded = self.sharpen(decoded, image, depth_n, valid, mask, edges[M_RGB])
         # metric depth is positive, whatever a network says; sparse readings may all be lost on the way to this size
@@ -242,9 +247,3 @@ class Ditr:
 
     def _put(self, *tensors: Tensor) -> list[Tensor]:
         return [t.to(self.device, memory_format=torch.channels_last) for t in tensors]
-
-
-def _maps(depth: np.ndarray, bounds: Bounds) -> tuple[Tensor, Tensor]:
-    valid = torch.from_numpy((depth > 0).astype(np.float32))[None, None]
-    depth_n = torch.from_numpy(bounds.normalise(depth).astype(np.float32))[None, None]
-    return depth_n * valid, valid

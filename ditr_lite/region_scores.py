@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from ditr_lite import metrics
-from ditr_lite.conditioning import depth_bounds, fit, to_tensor
+from ditr_lite.conditioning import depth_bounds, depth_tensors, fit, to_tensor
 from ditr_lite.config import RefineConfig
 from ditr_lite.data import REFLECTIVE, TRANSPARENT, Sample
 from ditr_lite.pipeline import Ditr
@@ -33,8 +33,7 @@ def class_map(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """
     frame, bounds = fit(depth.shape, ditr.config.size), depth_bounds(depth)
     small = frame.into(depth)
-    maps = [torch.from_numpy(np.float32(m))[None, None] for m in (bounds.normalise(small) * (small > 0), small > 0)]
-    inputs = [t.to(ditr.device) for t in (to_tensor(frame.into(rgb)[None]), *maps)]
+    inputs = [t.to(ditr.device) for t in (to_tensor(frame.into(rgb)[None]), *depth_tensors(small, bounds))]
     p = ditr.parts["region"](*inputs)["logits"].softmax(dim=1)[0].cpu().numpy()  # (3, h, w)
     found = np.where(p[1:].sum(0) > 0.5, 1 + p[1:].argmax(0), 0)
     return sum(np.uint8(code) * frame.back(found == code) for code in CLASSES.values())
@@ -114,9 +113,9 @@ def refinement_costs(ditr: Ditr, sample: Sample, settings: Iterable[RefineConfig
     """
     frame = fit(sample.depth.shape, ditr.config.size)
     found = frame.into(class_map(ditr, sample.rgb, sample.depth)) > 0
-    inside, rows = frame.into(np.ones(sample.depth.shape, bool)), []
+    rows = []
     for r in settings:
-        region = frame.back(refine_region(found, r.median, r.dilate, r.iterations) & inside)
+        region = frame.back(refine_region(found, r.median, r.dilate, r.iterations) & frame.picture)
         depth = ditr(sample.rgb, sample.depth, region, samples=1).depth
         rows.append({**mask_errors(region, sample.region), **_final(depth, sample)})
     return rows
