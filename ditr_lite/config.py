@@ -82,7 +82,7 @@ class DetailConfig:
     width: int = 24
 
 
-PREDICTIONS = ("x0", "eps", "v")
+PREDICTIONS = ("x0", "eps", "v")  # what a denoiser may be trained to predict
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from ditr_lite.pipeline import Completion, Ditr
 from ditr_lite.protocols import Protocol
 from ditr_lite.region_scores import PER_CLASS, class_map, class_scores
 from ditr_lite.store import read_card
+from ditr_lite.summaries import format_interval
 
 DITR, SENSOR = RESERVED = "ditr", "sensor"  # rows that are not methods
 COMPARED = ("optical", "optical_valid", "geometric")  # where differences get an interval
@@ -184,14 +185,14 @@ def format_report(report: Mapping[str, Any], protocol: Protocol | None = None) -
     lines += ["", "RMSE of ditr minus RMSE of the method, mm: mean [95 % interval], paired over frames"]
     lines += ["method".ljust(width) + "".join(key.rjust(26) for key in COMPARED)]
     for name, row in report["differences"].items():
-        lines.append(name.ljust(width) + "".join(_text(row[key], 1000, "+.1f").rjust(26) for key in COMPARED))
+        lines.append(name.ljust(width) + "".join(format_interval(row[key], 1000, "+.1f").rjust(26) for key in COMPARED))
     lines.append("")
     if protocol is not None and "protocol" in report:
         rows = {name: row or {} for name, row in report["protocol"].items()}
         lines += [f"As {protocol.name}'s code scores: {protocol.describe()}"]
         lines += [metrics.format_table(rows, protocol.sets)]
     if (one := report["stage_one"])["iou"] is not None:
-        figures = (f"{key} {_text(one[key], 1, '.3f')}" for key in STAGE_ONE + PER_CLASS if one.get(key))
+        figures = (f"{key} {format_interval(one[key], 1, '.3f')}" for key in STAGE_ONE + PER_CLASS if one.get(key))
         lines.append("stage one: " + ", ".join(figures) + " (miss_rate and area_ratio after refinement)")
     lines.append(f"{SENSOR} = bare readings, scored only where there are any; all others are dense")
     lines.append("readings outside the region: " + ("kept bit for bit" if report["kept"] else "CHANGED, a defect"))
@@ -240,10 +241,3 @@ def _interval(bootstrap, *values) -> list[float] | None:
         return list(bootstrap(*values))
     except ValueError:  # no frame has both
         return None
-
-
-def _text(interval: Sequence[float] | None, factor: float, style: str) -> str:
-    if interval is None:
-        return "-"
-    mean, low, high = (format(factor * x, style) for x in interval)
-    return f"{mean} [{low}, {high}]"

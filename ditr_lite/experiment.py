@@ -24,7 +24,7 @@ from ditr_lite.fitting import PARTS, check_same_system, folder_name, train_on
 from ditr_lite.pipeline import Ditr, build
 from ditr_lite.scenedata import Scenes, checksum, first, join, load_scenes, shrink
 from ditr_lite.store import CARD, load_part, read_card, save_part
-from ditr_lite.summaries import paired_bootstrap
+from ditr_lite.summaries import format_interval, paired_bootstrap
 from ditr_lite.training import Recipe
 
 SCORED = ("optical", "geometric")  # Table V's two kinds of loss
@@ -209,10 +209,7 @@ def format_comparison(result: Mapping[str, Any]) -> str:
     for arm, title in (("default", "tiny as it is"), ("changed", changed)):
         means = [_mean(result["rmse_m"][arm][key]) for key in SCORED]
         lines.append(title.ljust(width) + "".join(cell.rjust(26) for cell in means))
-    cells = []
-    for key in SCORED:
-        interval = result["difference"][key]
-        cells.append("-" if interval is None else "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(1000 * x for x in interval)))
+    cells = [format_interval(result["difference"][key], 1000) for key in SCORED]
     lines.append("difference".ljust(width) + "".join(cell.rjust(26) for cell in cells))
     lines.append("[95 % interval], paired over frames. Training has its own chance: see whether another seed agrees.")
     return "\n".join(lines)

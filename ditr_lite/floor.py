@@ -20,6 +20,7 @@ from ditr_lite.config import from_dict
 from ditr_lite.data import Sample
 from ditr_lite.metrics import bootstrap_mean, pixel_sets
 from ditr_lite.store import load_part, read_card
+from ditr_lite.summaries import format_interval
 
 EDGE = 0.05  # relative step between neighbours from which a pixel lies at a depth edge
 SETS = ("whole", "optical", "geometric", "edge", "interior")
@@ -154,7 +155,7 @@ def format_floor(report: Mapping[str, Any]) -> str:
     lines = [f"{report['images']} frames, f = {report['factor']}; RMSE in mm, mean over frames [95 % interval]"]
     lines.append("pixels".ljust(10) + "encoded, quantised, decoded".rjust(30) + "without the quantiser".rjust(26))
     for name in SETS:
-        with_it, without = (_text(report[key][name]) for key in ("rmse_m", "rmse_m_unquantized"))
+        with_it, without = (format_interval(report[key][name], 1000, ".2f") for key in ("rmse_m", "rmse_m_unquantized"))
         lines.append(name.ljust(10) + with_it.rjust(30) + without.rjust(26) + f"{report['pixels'][name]:14,} px")
     lines.append(f"edge: a 4-neighbour is more than {step:.0f} % nearer or farther; interior: all other pixels")
     used = (
@@ -175,7 +176,3 @@ def _sets(sample: Sample) -> dict[str, np.ndarray]:
 
 def _interval(values: list[float | None]) -> list[float] | None:
     return list(bootstrap_mean(values)) if any(v is not None for v in values) else None
-
-
-def _text(interval: list[float] | None) -> str:
-    return "-" if interval is None else "{:.2f} [{:.2f}, {:.2f}]".format(*(1000 * x for x in interval))

@@ -21,7 +21,7 @@ from ditr_lite.floor import reconstruct
 from ditr_lite.peers import load_peers
 from ditr_lite.pipeline import Ditr, build
 from ditr_lite.store import WEIGHTS, load_part, load_parts, read_card
-from ditr_lite.summaries import bootstrap_mean, paired_bootstrap, ratio_bootstrap
+from ditr_lite.summaries import bootstrap_mean, format_interval, paired_bootstrap, ratio_bootstrap
 from ditr_lite.swaps import SWAPS, Swapped
 from ditr_lite.tables import T1, T4, T5
 
@@ -191,7 +191,7 @@ def format_peers(report: Mapping[str, Any]) -> str:
     chosen = [SHIPPED, EQUAL, *[n for n in mean if f"{n}, bare" in mean or n.endswith(", bare")]]
     chosen += [n for n in REGISTRY if n in mean]
     for name in chosen:
-        lines.append(name.ljust(32) + _cells(mean[name]) + f"   {_interval(ratio[name]['optical'], 1, '.2f')}")
+        lines.append(name.ljust(32) + _cells(mean[name]) + f"   {format_interval(ratio[name]['optical'], 1, '.2f')}")
     return "\n".join(lines)
 
 
@@ -205,7 +205,9 @@ def format_ablation(report: Mapping[str, Any]) -> str:
     for seed, steps in report["ablation"].items():
         for step in ("BB", "+DP", "+RR"):
             change = steps.get(step)
-            texts = [_interval([100 * (v - 1) for v in change[k]], 1, "+.0f") + " %" for k in PAPER] if change else []
+            texts = (
+                [format_interval([100 * (v - 1) for v in change[k]], 1, "+.0f") + " %" for k in PAPER] if change else []
+            )
             row = f"{step}, seed {seed}".ljust(16) + _cells(report["mean"][f"{step}, seed {seed}"])
             lines.append(row + "".join(text.rjust(22) for text in texts))
     return "\n".join(lines)
@@ -215,15 +217,10 @@ def format_oracles(report: Mapping[str, Any]) -> str:
     """Return what the shipped system would score with one part replaced, and the difference that makes."""
     lines = ["RMSE mm".ljust(32) + "".join(k.rjust(11) for k in SETS) + "   optical, minus shipped"]
     for name in (SHIPPED, *ORACLES):
-        change = _interval(report["minus_ditr"][name]["optical"], 1000, "+.1f")
+        change = format_interval(report["minus_ditr"][name]["optical"], 1000, "+.1f")
         lines.append(name.ljust(32) + _cells(report["mean"][name]) + f"   {change}  {ORACLES.get(name, '')}")
     return "\n".join(lines)
 
 
 def _cells(row: Mapping[str, Sequence[float]]) -> str:
     return "".join(f"{1000 * row[k][0]:11.1f}" for k in SETS)
-
-
-def _interval(values: Sequence[float], factor: float, style: str) -> str:
-    mean, low, high = (format(factor * v, style) for v in values)
-    return f"{mean} [{low}, {high}]"

@@ -26,9 +26,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from ditr_lite.config import ScheduleConfig
+from ditr_lite.config import PREDICTIONS, ScheduleConfig
 
-PREDICTIONS = ("eps", "x0", "v")  # what a denoiser may be trained to predict
 MAX_BETA = 0.999  # a beta of 1 would erase the signal in one step
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from ditr_lite import metrics
 from ditr_lite.data import Sample
 from ditr_lite.draws import flying_share
-from ditr_lite.summaries import bootstrap_mean, paired_bootstrap
+from ditr_lite.summaries import bootstrap_mean, format_interval, paired_bootstrap
 
 SETS = ("optical", "geometric")
 # steps -> (frames, members drawn for each): many steps are dear, so fewer frames are asked; rows say how many
@@ -112,7 +112,10 @@ def format_steps(rows: Mapping[str, Sequence[Mapping[str, Any]]], key: str = "op
     lines.append("minus that, same frames" + "".join(MEASURES[n].rjust(23) for n in names))
     for steps, frames in list(rows.items())[1:]:
         gaps = against_one(rows, steps, key)
-        lines.append(f"{steps:>5} steps, {len(frames)} frames".ljust(23) + "".join(_cell(gaps[n], 1000) for n in names))
+        lines.append(
+            f"{steps:>5} steps, {len(frames)} frames".ljust(23)
+            + "".join(format_interval(gaps[n], 1000).rjust(23) for n in names)
+        )
     return "\n".join(lines)
 
 
@@ -125,7 +128,10 @@ def format_flying(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     lines.append("minus that, points     " + "".join(MEASURES[n].rjust(23) for n in names))
     for steps, frames in list(rows.items())[1:]:
         gaps = against_one(rows, steps, "optical")
-        lines.append(f"{steps:>5} steps, {len(frames)} frames".ljust(23) + "".join(_cell(gaps[n], 1) for n in names))
+        lines.append(
+            f"{steps:>5} steps, {len(frames)} frames".ljust(23)
+            + "".join(format_interval(gaps[n]).rjust(23) for n in names)
+        )
     return "\n".join(lines)
 
 
@@ -144,7 +150,7 @@ def verdicts(rows: Mapping[str, Sequence[Mapping[str, Any]]], key: str = "optica
             continue
         said = "worse" if gap[1] > 0 else "better" if gap[2] < 0 else "no measurable difference"
         unit, factor = ("points", 1) if name.startswith("flying") else ("mm", 1000)
-        lines.append(f"  {says:22} {said} ({_cell(gap, factor).strip()} {unit})")
+        lines.append(f"  {says:22} {said} ({format_interval(gap, factor)} {unit})")
     spread, error = (
         1000 * bootstrap_mean([_value(r, n, key, count) for r in rows[steps]])[0] for n in ("spread", "mean")
     )
@@ -158,9 +164,3 @@ def _value(row: Mapping[str, Any], name: str, key: str, count: int) -> float | N
     if name.startswith("flying"):
         return row[name]
     return (row["mean"][str(count)] if name == "mean" else row[name]).get(key)
-
-
-def _cell(interval: Sequence[float] | None, factor: float) -> str:
-    if interval is None:
-        return "-".rjust(23)
-    return "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(factor * v for v in interval)).rjust(23)

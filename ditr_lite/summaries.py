@@ -88,6 +88,16 @@ def ratio_bootstrap(
     return float(pairs[:, 0].mean() / pairs[:, 1].mean()), float(low), float(high)
 
 
+def format_interval(
+    interval: Sequence[float] | None, factor: float = 1.0, style: str = "+.1f", missing: str = "-"
+) -> str:
+    """Return ``mean [low, high]``, each times ``factor`` and in the format ``style``; ``missing`` for None."""
+    if interval is None:
+        return missing
+    mean, low, high = (format(factor * x, style) for x in interval)
+    return f"{mean} [{low}, {high}]"
+
+
 def format_table(rows: Mapping[str, Mapping[str, Scores | None]], sets: Sequence[str] = SETS) -> str:
     """Return a plain-text table, one block per pixel set and one line per method; RMSE and MAE in millimetres.
 

@@ -14,7 +14,7 @@ from ditr_lite.config import from_dict, override, preset
 from ditr_lite.costs import costs
 from ditr_lite.setting_study import DEFAULT, against_default, errors
 from ditr_lite.store import WEIGHTS, read_card
-from ditr_lite.summaries import paired_bootstrap
+from ditr_lite.summaries import format_interval, paired_bootstrap
 
 
 class Trial(NamedTuple):
@@ -104,7 +104,10 @@ def format_refinement(report: Mapping[str, Any]) -> str:
     good = []
     for name in rows:
         gaps = [paired(rows, name, gentlest, key) for key in mean] + [paired(rows, name, lowest, "optical_m")]
-        lines.append(name.ljust(16) + "".join(f"{_gap(g):>{w}}" for g, w in zip(gaps, (22, 22, 26), strict=True)))
+        lines.append(
+            name.ljust(16)
+            + "".join(format_interval(g, 1000, "+.2f").rjust(w) for g, w in zip(gaps, (22, 22, 26), strict=True))
+        )
         if gaps[2][1] <= 0:
             good.append(name)
     choice = min(good, key=mean["whole_m"].get)
@@ -119,7 +122,3 @@ def format_refinement(report: Mapping[str, Any]) -> str:
 def paired(rows: Mapping[str, Any], a: str, b: str, key: str) -> tuple[float, float, float]:
     """Return the paired difference of two rows of a study with its interval over scenes, in metres."""
     return paired_bootstrap(rows[a][key]["scenes"], rows[b][key]["scenes"])
-
-
-def _gap(interval: Sequence[float]) -> str:
-    return "{:+.2f} [{:+.2f}, {:+.2f}]".format(*(1000 * v for v in interval))

@@ -24,7 +24,8 @@ def test_metrics_offers_them_too():
     names = [
         n for n, v in vars(summaries).items() if getattr(v, "__module__", "") == summaries.__name__ and n[0] != "_"
     ]
-    assert sorted(names) == ["average", "bootstrap_mean", "format_table", "paired_bootstrap", "ratio_bootstrap"]
+    tables = ["format_interval", "format_table"]
+    assert sorted(names) == ["average", "bootstrap_mean", *tables, "paired_bootstrap", "ratio_bootstrap"]
     assert all(getattr(M, name) is getattr(summaries, name) for name in [*names, "SETS", "METRICS", "Scores"])
 
 
@@ -104,3 +105,9 @@ def test_a_ratio_of_means_keeps_pairs_together():
         summaries.ratio_bootstrap([1.0], [1.0], n=0)
     with pytest.raises(ValueError, match="same images"):
         summaries.ratio_bootstrap([1.0], [1.0, 2.0])
+
+
+def test_an_interval_is_told_in_the_unit_and_style_asked_for():
+    assert summaries.format_interval((0.0012, -0.0034, 0.0051), 1000) == "+1.2 [-3.4, +5.1]"
+    assert summaries.format_interval([0.5, 0.25, 0.75], style=".2f") == "0.50 [0.25, 0.75]"
+    assert summaries.format_interval(None) == "-" and summaries.format_interval(None, missing="x") == "x"

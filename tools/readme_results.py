@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ditr_lite import peer_study
 from ditr_lite.store import read_card
+from ditr_lite.summaries import format_interval
 
 START, END = "<!-- results: tools/readme_results.py -->", "<!-- end of results -->"
 SETS = ("optical", "optical_valid", "geometric", "outside", "whole")
@@ -36,13 +37,13 @@ def section(result: dict) -> str:
         "|---|---:|---:|---:|",
     ]
     for name, row in report["differences"].items():
-        lines.append(f"| {name} | " + " | ".join(_interval(row[k], 1000, "+.1f") for k in SETS[:3]) + " |")
+        lines.append(f"| {name} | " + " | ".join(format_interval(row[k], 1000, missing="–") for k in SETS[:3]) + " |")
     one = report["stage_one"]
     lines += [
         "",
-        f"Stage one: intersection over union {_interval(one['iou'], 1, '.2f')} before refinement. After it, "
-        f"{_interval(one['miss_rate'], 100, '.0f')} % of the region is missed; the area is "
-        f"{_interval(one['area_ratio'], 1, '.2f')} times that of the true mask refined alike.",
+        f"Stage one: intersection over union {format_interval(one['iou'], 1, '.2f')} before refinement. After it, "
+        f"{format_interval(one['miss_rate'], 100, '.0f')} % of the region is missed; the area is "
+        f"{format_interval(one['area_ratio'], 1, '.2f')} times that of the true mask refined alike.",
         "Readings outside the region come back " + ("bit for bit." if report["kept"] else "CHANGED, a defect."),
         "",
         f"Command: `{result['command']}`; the file with every scene's figures and the checksums of the weights is "
@@ -94,11 +95,11 @@ def peers(result: dict) -> str:
     for name in (peer_study.SHIPPED, peer_study.EQUAL, *peer_study.IDEAS):
         cells = [f"{1000 * mean[n]['optical'][0]:.1f}" if n in mean else "–" for n in (f"{name}, bare", name)]
         cells += [f"{1000 * mean[name][k][0]:.1f}" for k in ("geometric", "whole")]
-        lines.append(f"| {name} | " + " | ".join([*cells, _interval(ratio[name]["optical"], 1, ".2f")]) + " |")
+        lines.append(f"| {name} | " + " | ".join([*cells, format_interval(ratio[name]["optical"], 1, ".2f")]) + " |")
     lines += ["", peer_study.verdict(result).replace("\n", ".\n") + ".", ""]
     for step, before in (("+DP", "BB"), ("+RR", "+DP")):
         changes = [
-            _interval([100 * (v - 1) for v in r[step]["optical"]], 1, "+.0f") for r in result["ablation"].values()
+            format_interval([100 * (v - 1) for v in r[step]["optical"]], 1, "+.0f") for r in result["ablation"].values()
         ]
         lines.append(f"{step} after {before}, optical, per training seed: {' and '.join(changes)} %.")
     return "\n".join([*lines, "", f"Command: `{result['command']}`, after `tools/train_peer.py` for every arm."])
@@ -132,13 +133,6 @@ def training(card: dict) -> str:
         steps, minutes = sum(net["steps"] for net in nets), sum(net["seconds"] for net in nets) / 60
         lines.append(f"| {name} | {part['scenes']:,} | {steps:,} | {minutes:.0f} |")
     return "\n".join(lines)
-
-
-def _interval(values: list[float] | None, factor: float, style: str) -> str:
-    if values is None:
-        return "–"
-    mean, low, high = (format(factor * v, style) for v in values)
-    return f"{mean} [{low}, {high}]"
 
 
 def main() -> None:

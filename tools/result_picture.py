@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import ditr_lite as dl
-from ditr_lite import viz
+from ditr_lite import metrics, viz
 from ditr_lite.data import Sample
 from ditr_lite.files import written_whole
 
@@ -44,8 +44,8 @@ def cut(region: np.ndarray) -> tuple[slice, slice]:
 
 def off_mm(depth: np.ndarray, truth: np.ndarray, region: np.ndarray) -> float:
     """Return the root mean square error in the region, where there is depth."""
-    there = region & (depth > 0) & (truth > 0)
-    return 1000 * float(np.sqrt(np.mean((depth - truth)[there] ** 2))) if there.any() else np.nan
+    read = region & (depth > 0)
+    return 1000 * metrics.rmse(np.where(read, depth, 1), truth, read) if (truth[read] > 0).any() else np.nan
 
 
 def draw(samples: list[Sample], depths: list[np.ndarray]) -> viz.Picture:
