@@ -14,42 +14,100 @@ import torch.nn.functional as F
 from torch import Tensor
 
 CHANNELS = ("red", "green", "blue", "boundary", "filled", "known", "region", "evidence", "trusted")  # of F(x)'s input
-MIN_SPAN_M = 0.15  # a frame of one flat wall still gets a range to paint in
+SPREADS = (0.12, 0.6)  # least and largest half range of a frame, as a ratio of distances: exp(0.12) is 13 per cent
+STRAY_RATIO = 1.25  # a reading that differs from nearly all its neighbours by this factor belongs to no surface
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Affine map between metres and network units: ``low`` goes to -1, ``high`` to 1; nothing is clipped."""
+    """Invertible map between metres and network units, in which distance itself does not matter.
 
-    low: float
-    high: float
+    ``u = (ln d - ln m) / h`` with ``m = sqrt(low high)`` and ``h = ln(high / low) / 2``: the logarithm of depth, ``low``
+    at -1 and ``high`` at 1. Between them it is kept, beyond them compressed once more, ``sign(u) (1 + ln |u|)``, so
+    that a room behind the table, or a stray reading, takes no room from the table. Nothing is clipped.
+
+    Both may be floats, for one frame, or tensors (B, 1, 1, 1), for a batch.
+    """
+
+    low: float | Tensor
+    high: float | Tensor
 
     def normalise(self, depth_m):
-        """Map metres to network units (any array type)."""
-        return (depth_m - self.low) * (2 / (self.high - self.low)) - 1
+        """Map metres > 0 to network units (array or tensor); what is not positive becomes 0."""
+        xp = torch if isinstance(depth_m, Tensor) else np
+        low, high = self._logarithms()
+        positive = depth_m > 0
+        u = (xp.log(xp.where(positive, depth_m, 1.0)) - (low + high) / 2) * (2 / (high - low))
+        size = abs(u)
+        beyond = xp.sign(u) * (1 + xp.log(xp.where(size > 1, size, 1.0)))
+        return xp.where(positive, xp.where(size > 1, beyond, u), 0.0)
 
     def denormalise(self, depth_n):
         """Map network units to metres, the inverse of :meth:`normalise`."""
-        return (depth_n + 1) * ((self.high - self.low) / 2) + self.low
+        xp = torch if isinstance(depth_n, Tensor) else np
+        low, high = self._logarithms()
+        size = abs(depth_n)
+        beyond = xp.sign(depth_n) * xp.exp(xp.where(size > 1, size, 1.0) - 1)
+        u = xp.where(size > 1, beyond, depth_n)
+        return xp.exp((low + high) / 2 + u * ((high - low) / 2))
+
+    def _logarithms(self):
+        xp = torch if isinstance(self.low, Tensor) else np
+        return xp.log(self.low), xp.log(self.high)
 
 
-def depth_bounds(depth: np.ndarray) -> Bounds:
+def depth_bounds(depth: np.ndarray, about: np.ndarray | None = None) -> Bounds:
     """Choose the bounds of a frame from its *raw* depth alone: ground-truth quantiles would leak the answer.
 
-    The 2nd and 98th percentile, widened downwards by a quarter of their span, because what the sensor misses (glass)
-    stands before what it sees, and upwards by a tenth.
+    The middle is the median, the half range 2.5 median absolute deviations of log depth, neither of which a minority of
+    far or near readings can move. Downwards it is a quarter larger, because what the sensor misses (glass) stands
+    before what it sees.
+
+    Args:
+        depth: (H, W) metres, 0 = missing.
+        about: (H, W) bool, the pixels whose readings to take (those around a region, say); where none was read
+            there, or None, all are taken.
 
     Raises:
         ValueError: when nothing was measured.
     """
-    measured = depth[depth > 0]
+    measured = depth[depth > 0] if about is None else depth[about & (depth > 0)]
+    if measured.size == 0:
+        measured = depth[depth > 0]
     if measured.size == 0:
         raise ValueError("the depth map holds no reading at all; depth completion needs at least some measured pixels")
-    low, high = (float(q) for q in np.percentile(measured, [2, 98]))
-    spare = max(MIN_SPAN_M - (high - low), 0) / 2
-    low, high = low - spare, high + spare
-    span = high - low
-    return Bounds(low - 0.25 * span, high + 0.10 * span)
+    logs = np.log(measured.astype(np.float64))
+    middle = float(np.median(logs))
+    half = 2.5 * float(np.median(np.abs(logs - middle)))
+    half = min(max(half, SPREADS[0]), SPREADS[1])
+    return Bounds(float(np.exp(middle - 1.25 * half)), float(np.exp(middle + half)))
+
+
+def strays(depth: np.ndarray, window: int = 5) -> np.ndarray:
+    """Find readings that belong to no surface: most readings around them differ by more than :data:`STRAY_RATIO`.
+
+    They are hidden from the networks and given back in the end. A reading with few others around it cannot be judged,
+    so sparse depth has no strays.
+
+    Args:
+        depth: (H, W) metres, 0 = missing.
+        window: side of the neighbourhood in pixels, odd.
+
+    Returns:
+        (H, W) bool.
+    """
+    valid = depth > 0
+    logs = np.log(np.where(valid, depth, 1.0)).astype(np.float32)
+    padded = np.pad(np.where(valid, logs, np.nan), window // 2, constant_values=np.nan)
+    alike = np.zeros(depth.shape, np.int16)
+    read = np.zeros(depth.shape, np.int16)
+    for dy in range(window):
+        for dx in range(window):
+            other = padded[dy : dy + depth.shape[0], dx : dx + depth.shape[1]]
+            alike += np.abs(other - logs) < np.log(STRAY_RATIO)  # False for NaN
+            read += ~np.isnan(other)
+    enough = read > window * window // 3
+    return valid & enough & (alike - 1 < 0.2 * read)
 
 
 @dataclass(frozen=True)
@@ -62,12 +120,18 @@ class Frame:
     size: tuple[int, int]
 
     def into(self, image: np.ndarray) -> np.ndarray:
-        """Bring an image to the working size: colour by area, depth and masks by nearest; padding is 0 (missing)."""
+        """Bring an image to the working size: colour by area, depth and masks by nearest; padding is 0 (missing).
+
+        Of depth, a cell whose nearest reading is missing takes the one that lies closest to its centre, if it holds
+        any: sparse or line-wise readings survive.
+        """
         method = cv2.INTER_NEAREST
         if image.ndim == 3:
             method = cv2.INTER_AREA if self.height < self.source[0] else cv2.INTER_LINEAR
         kind = np.uint8 if image.dtype == bool else image.dtype
         small = cv2.resize(image.astype(kind), (self.width, self.height), interpolation=method)
+        if image.ndim == 2 and np.issubdtype(image.dtype, np.floating):
+            pool_readings(small, image)
         return np.pad(small, self.padding + ((0, 0),) * (image.ndim - 2)).astype(image.dtype)
 
     @property
@@ -137,6 +201,25 @@ def fill(depth_n: Tensor, known: Tensor) -> Tensor:
     return torch.where(known > 0, depth_n, fine)
 
 
+def pool_readings(small: np.ndarray, image: np.ndarray) -> None:
+    """Give every cell of ``small`` (h, w) that is 0 the reading of ``image`` (H, W) in it that is closest to its centre.
+
+    In place; a cell without any reading stays 0. Nothing happens where ``small`` is not smaller.
+    """
+    scale = np.array(small.shape) / image.shape
+    if scale.min() >= 1:
+        return
+    rows, columns = ((np.arange(n) + 0.5) * s for n, s in zip(image.shape, scale, strict=True))
+    y, x = np.minimum(rows.astype(int), small.shape[0] - 1), np.minimum(columns.astype(int), small.shape[1] - 1)
+    wanted = (image > 0) & (small == 0)[y[:, None], x[None]]
+    v, u = np.nonzero(wanted)
+    if v.size == 0:
+        return
+    away = (rows[v] - y[v] - 0.5) ** 2 + (columns[u] - x[u] - 0.5) ** 2
+    order = np.argsort(-away, kind="stable")  # the closest is written last
+    small[y[v[order]], x[u[order]]] = image[v[order], u[order]]
+
+
 def depth_tensors(depth: np.ndarray, bounds: Bounds) -> tuple[Tensor, Tensor]:
     """Return normalised depth, 0 where missing, and its validity 0/1, (1, 1, H, W) float32 each, of (H, W) metres."""
     valid = torch.from_numpy((depth > 0).astype(np.float32))[None, None]
@@ -156,7 +239,8 @@ def condition(
 
     Paper: Sec. IV-A: the mask is multiplied with the depth, so nothing inside the region counts as known. Departure:
     ``evidence`` shows the in-region readings in channels of their own, *not* as known depth: on real frames they are
-    1.5 to 5 cm off, which is closer than any fill from outside comes.
+    1.5 to 5 cm off, which is closer than any fill from outside comes. They are filled, too: the channel says how far
+    a fill from all readings lies from a fill from those outside.
 
     Args:
         rgb: (B, 3, H, W) in [-1, 1].
@@ -173,6 +257,6 @@ def condition(
     known = valid * (1 - region)
     filled = fill(depth_n, known)
     seen = valid * region * float(evidence)
-    offset = torch.where(seen > 0, (depth_n - filled).clamp(-2, 2), 0.0)
+    offset = (fill(depth_n, known + seen) - filled).clamp(-2, 2)
     image = torch.cat([rgb, boundary, filled, known, region, offset, seen], dim=1)
     return image, filled, F.avg_pool2d(known, 4)

@@ -20,6 +20,7 @@ class RegionConfig:
     width: int = 16  # channels at stride 2; doubled at every further level
     levels: int = 4  # strides 2, 4, 8, 16
     classes: int = 3  # background, transparent, reflective
+    colour: str = "pretrained"  # encoder of the picture: "pretrained" (on ImageNet) or "scratch" (as for depth)
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,7 @@ class UNetConfig:
     query: str = "feature"  # cross-attention: "feature" (the paper's) or "latent" (latent diffusion's)
     block: str = "residual"  # "residual" (GroupNorm, SiLU) or "plain" (the paper's 3x3 conv + ReLU)
     cond_channels: int = 32  # channels of F(x) that are concatenated to L_t
+    colour_channels: tuple[int, ...] = (24, 40, 112)  # of the pretrained encoder's features at strides 4, 8, 16; () none
     anchor: bool = True  # predict what to add to the encoded known depth; only with prediction "x0" (not in the paper)
 
     def __post_init__(self) -> None:

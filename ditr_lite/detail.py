@@ -14,11 +14,11 @@ from torch import Tensor, nn
 from ditr_lite.config import DetailConfig
 from ditr_lite.unet import norm
 
-CHANNELS = ("decoded", "raw", "known", "branch", "red", "green", "blue", "boundary")  # of the input, in this order
+CHANNELS = ("decoded", "raw", "known", "evidence", "branch", "red", "green", "blue", "boundary")  # of the input
 LEVELS = 3  # at strides 2, 4 and 8
 DILATIONS = (3, 1)  # of the 3x3 neighbourhoods that depth spreads over, coarse to fine, each with its own affinities
 ROUNDS = 3  # of spreading at each of them: a reading reaches 12 pixels far
-OUTPUTS = 2 + 9 * len(DILATIONS)  # a pixel's residual, trust in its reading, affinities
+OUTPUTS = 3 + 9 * len(DILATIONS)  # a pixel's residual, trust in its reading outside and inside the region, affinities
 
 
 def convs(in_channels: int, channels: int, count: int) -> nn.Sequential:
@@ -58,8 +58,8 @@ class DetailNet(nn.Module):
         """Return the finer depth.
 
         Args:
-            x: (B, 8, H, W) floating, channels as in ``CHANNELS``: decoded and raw depth (normalised), mask of known
-                readings, mask of the optical branch, RGB in [-1, 1], boundary map; H and W multiples of 8.
+            x: (B, 9, H, W) floating, channels as in ``CHANNELS``: decoded and raw depth (normalised), masks of
+                readings outside and inside the region, mask of the optical branch, RGB in [-1, 1], boundary map; H and W multiples of 8.
 
         Returns:
             (B, 1, H, W), normalised like the decoded depth.
@@ -70,16 +70,24 @@ class DetailNet(nn.Module):
         return self.spread(x, x[:, :1])
 
     def spread(self, x: Tensor, decoded: Tensor) -> Tensor:
-        """Return the finer depth (S, 1, H, W) of ``decoded`` (S, 1, H, W), by what the network says of ``x``.
+        """Return the finer depth (S B, 1, H, W) of ``decoded`` (S B, 1, H, W), by what the network says of ``x``.
 
-        ``x`` is as in :meth:`forward`, B being S, or 1 for samples of one image, which then share residual, trust and
-        affinities: the network, the costly part, runs once.
+        ``x`` (B, 9, H, W) is as in :meth:`forward`. Of S samples, one batch after the other, residual, trust and
+        affinities are shared: the network, the costly part, runs once.
         """
+        samples = len(decoded) // len(x)
         residual, trust, affinities = self.predict(x)
-        return propagate(decoded + residual, x[:, 1:2], x[:, 2:3] * trust, affinities)
+        held = (x[:, 2:4] * trust).sum(dim=1, keepdim=True)  # (B, 2, H, W) -> (B, 1, H, W): a pixel is in one of both
+        return propagate(
+            decoded + residual.repeat(samples, 1, 1, 1),
+            x[:, 1:2].repeat(samples, 1, 1, 1),
+            held.repeat(samples, 1, 1, 1),
+            [a.repeat(samples, 1, 1, 1) for a in affinities],
+        )
 
     def predict(self, x: Tensor) -> tuple[Tensor, Tensor, list[Tensor]]:
-        """Return the residual (B, 1, H, W), the trust in readings (B, 1, H, W) in (0, 1) and, per dilation, affinities.
+        """Return the residual (B, 1, H, W), the trust in readings (B, 2, H, W) in (0, 1), outside and inside the
+        region, and, per dilation, affinities.
 
         Affinities are (B, 9, H, W) each, positive, and sum to 1 over the 9; see :func:`propagate`.
         """
@@ -88,7 +96,7 @@ class DetailNet(nn.Module):
                 f"x: expected (B, {len(CHANNELS)}, H, W) with channels {', '.join(CHANNELS)}, H and W multiples of "
                 f"{2**LEVELS}, got {tuple(x.shape)}"
             )
-        x = F.pixel_unshuffle(x, 2)  # (B, 8, H, W) -> (B, 32, H/2, W/2)
+        x = F.pixel_unshuffle(x, 2)  # (B, 9, H, W) -> (B, 36, H/2, W/2)
         skips = []
         for i, level in enumerate(self.down):
             x = level(F.max_pool2d(x, 2) if i else x)
@@ -97,8 +105,9 @@ class DetailNet(nn.Module):
         for upsample, level in zip(self.upsample, self.up, strict=True):
             x = level(upsample(x) + skips.pop())
         out = F.pixel_shuffle(self.out(x), 2)  # (B, 4 OUTPUTS, H/2, W/2) -> (B, OUTPUTS, H, W)
-        residual, trust, *kernels = out.split([1, 1, *[9] * len(DILATIONS)], dim=1)
-        return residual, torch.sigmoid(trust + 3), [k.softmax(dim=1) for k in kernels]  # at first readings are trusted
+        residual, trust, *kernels = out.split([1, 2, *[9] * len(DILATIONS)], dim=1)
+        start = trust.new_tensor([3.0, -1.0]).view(1, 2, 1, 1)  # at first readings outside are trusted, inside hardly
+        return residual, torch.sigmoid(trust + start), [k.softmax(dim=1) for k in kernels]  # at first readings are trusted
 
 
 def propagate(start: Tensor, readings: Tensor, trust: Tensor, affinities: list[Tensor]) -> Tensor:
@@ -141,7 +150,7 @@ def neighbours(depth: Tensor, dilation: int) -> list[Tensor]:
 def detail_input(
     decoded: Tensor, depth_n: Tensor, valid: Tensor, region: Tensor, image: Tensor, boundary: Tensor
 ) -> Tensor:
-    """Return the (S, 8, H, W) input of :class:`DetailNet`, channels as in :data:`CHANNELS`.
+    """Return the (S, 9, H, W) input of :class:`DetailNet`, channels as in :data:`CHANNELS`.
 
     Args:
         decoded: (S, 1, H, W) normalised depth out of the decoder, both branches composed.
@@ -151,7 +160,6 @@ def detail_input(
         image: (B, 3, H, W) in [-1, 1].
         boundary: (B, 1, H, W) 0/1, M_RGB.
     """
-    known = valid * (1 - region)
-    raw = torch.where(known > 0, depth_n, decoded)
-    parts = [decoded, raw, known, region, image, boundary]
+    raw = torch.where(valid > 0, depth_n, decoded)
+    parts = [decoded, raw, valid * (1 - region), valid * region, region, image, boundary]
     return torch.cat([p.expand(len(decoded), -1, -1, -1) for p in parts], dim=1)

@@ -15,6 +15,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .config import RegionConfig
+from .encoder import CHANNELS, ColourEncoder
 
 IGNORE = 255  # target class of a pixel whose class is unknown
 
@@ -50,6 +51,25 @@ class Encoder(nn.Module):
             x = x + refine(x)
             pyramid.append(x)
         return pyramid
+
+
+class PretrainedPyramid(nn.Module):
+    """The colour encoder with its pyramid brought to the widths of the depth encoder's."""
+
+    def __init__(self, channels_in: int, width: int, levels: int):
+        super().__init__()
+        if channels_in != 3 or levels > len(CHANNELS):
+            raise ValueError(f"the pretrained encoder sees 3 channels at up to {len(CHANNELS)} levels, got {levels}")
+        self.encoder = ColourEncoder()
+        self.project = nn.ModuleList(nn.Conv2d(c, width * 2**k, 1) for k, c in enumerate(CHANNELS[:levels]))
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """Return features (B, width 2^k, H/2^(k+1), W/2^(k+1)) for k = 0, 1, ..."""
+        pyramid = self.encoder(x)
+        return [project(level) for project, level in zip(self.project, pyramid, strict=False)]
+
+
+COLOUR_ENCODERS = {"pretrained": PretrainedPyramid, "scratch": Encoder}
 
 
 class CrossModalFusion(nn.Module):
@@ -103,7 +123,7 @@ class RegionNet(nn.Module):
             raise ValueError(f"expected levels >= 2, width >= 1, classes >= 2; got {config}")
         widths = [config.width * 2**k for k in range(config.levels)]
         self.config = config
-        self.encoder_rgb = Encoder(3, config.width, config.levels)
+        self.encoder_rgb = COLOUR_ENCODERS[config.colour](3, config.width, config.levels)
         self.encoder_depth = Encoder(2, config.width, config.levels)
         self.fusion = nn.ModuleList(CrossModalFusion(c) for c in widths)
         self.context = _conv(widths[-1], widths[-1], dilation=2)

@@ -18,7 +18,7 @@ from ditr_lite.conditioning import depth_bounds, fit, to_tensor
 from ditr_lite.data import read_sample
 from ditr_lite.files import written_whole
 
-MAPS = ("rgb", "depth", "depth_gt", "material")  # what every scene has
+MAPS = ("rgb", "depth", "depth_gt", "material", "instances")  # what every scene has
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,7 @@ class Scenes:
     depth: np.ndarray
     depth_gt: np.ndarray
     material: np.ndarray
+    instances: np.ndarray
     guides: np.ndarray | None = None
 
     def __len__(self) -> int:
@@ -79,6 +80,7 @@ def load_scenes(
         depth=np.stack([m[0] for m in millimetres]),
         depth_gt=np.stack([m[1] for m in millimetres]),
         material=np.stack([s.material for s in samples]),
+        instances=np.stack([s.instances for s in samples]),
         guides=guides,
     )
 

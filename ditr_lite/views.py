@@ -1,0 +1,282 @@
+"""What training looks at: frames and windows of rendered scenes, moved, turned and disturbed as cameras disturb them.
+
+A *view* is a picture of a given size cut from a scene: the whole frame for stage one and the geometric branch, a window
+around what is to be painted for the optical one. Everything random comes from the generator that is handed in.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from ditr_lite.augment import colours
+from ditr_lite.boundary import M_DA, M_RGB, Backend, boundary_maps
+from ditr_lite.conditioning import Bounds, depth_bounds, strays, to_tensor
+from ditr_lite.region import IGNORE
+from ditr_lite.windows import LEAST, MARGIN
+
+
+@dataclass(frozen=True)
+class View:
+    """One picture at network size, still in metres.
+
+    Attributes:
+        rgb: (H, W, 3) uint8.
+        depth: (H, W) float32 metres, raw, 0 = missing.
+        depth_gt: (H, W) float32 metres, 0 = unknown.
+        material: (H, W) uint8, 0 opaque, 1 transparent, 2 reflective, IGNORE beyond the scene's border.
+        region: (H, W) bool, what is to be painted by the optical branch: the true region, or a mistaken one.
+    """
+
+    rgb: np.ndarray
+    depth: np.ndarray
+    depth_gt: np.ndarray
+    material: np.ndarray
+    region: np.ndarray
+
+
+def look(
+    scenes, i: int, matrix: np.ndarray, size: tuple[int, int], claimed: np.ndarray | None = None
+) -> View:
+    """Cut a view out of scene ``i``.
+
+    Args:
+        scenes: a ``scenedata.Scenes``.
+        i: which one.
+        matrix: (2, 3), takes pixels of the view to pixels of the scene.
+        size: (H, W) of the view.
+        claimed: (h, w) bool, further pixels of the scene that a mistaken stage one takes for glass.
+    """
+    flags = cv2.WARP_INVERSE_MAP
+    wh = (size[1], size[0])
+    rgb = cv2.warpAffine(scenes.rgb[i], matrix, wh, flags=cv2.INTER_LINEAR | flags, borderMode=cv2.BORDER_REPLICATE)
+    nearest = cv2.INTER_NEAREST | flags
+    depth, gt = (
+        cv2.warpAffine(d[i], matrix, wh, flags=nearest).astype(np.float32) / 1000 for d in (scenes.depth, scenes.depth_gt)
+    )
+    material = cv2.warpAffine(scenes.material[i], matrix, wh, flags=nearest, borderValue=IGNORE)
+    region = (material == 1) | (material == 2)
+    if claimed is not None:
+        region |= cv2.warpAffine(claimed.astype(np.uint8), matrix, wh, flags=nearest) > 0
+    return View(rgb, depth, gt, material, region)
+
+
+def placement(
+    size: tuple[int, int], centre: tuple[float, float], scale: float, angle: float, mirror: bool
+) -> np.ndarray:
+    """Return the (2, 3) matrix that takes view pixels to scene pixels.
+
+    Args:
+        size: (H, W) of the view.
+        centre: (row, column) of the scene that the view's centre shows.
+        scale: scene pixels per view pixel.
+        angle: turn, radians.
+        mirror: whether left and right change places.
+    """
+    c, s = scale * np.cos(angle), scale * np.sin(angle)
+    linear = np.array([[c, -s], [s, c]]) @ np.diag([-1.0 if mirror else 1.0, 1.0])
+    middle = np.array([(size[1] - 1) / 2, (size[0] - 1) / 2])
+    shift = np.array([centre[1], centre[0]]) - linear @ middle
+    return np.concatenate([linear, shift[:, None]], axis=1).astype(np.float32)
+
+
+def turn(rng: np.random.Generator) -> float:
+    """Draw a turn: mostly slight, a third of all any angle: cameras are held in all ways."""
+    if rng.random() < 0.65:
+        return float(rng.normal(0, 0.15))
+    if rng.random() < 0.5:
+        return float(rng.integers(4) * np.pi / 2 + rng.normal(0, 0.1))
+    return float(rng.uniform(-np.pi, np.pi))
+
+
+def frame_view(scenes, i: int, size: tuple[int, int], rng: np.random.Generator | None) -> View:
+    """Return a whole scene at ``size``; with ``rng`` zoomed, moved and turned."""
+    height, width = scenes.depth.shape[1:]
+    whole = max(height / size[0], width / size[1])
+    centre = ((height - 1) / 2, (width - 1) / 2)
+    if rng is None:
+        return look(scenes, i, placement(size, centre, whole, 0.0, False), size)
+    zoom = float(np.exp(rng.uniform(np.log(0.75), np.log(1.8))))
+    free = max(0.1, 1 - 1 / zoom) / 2  # a magnified frame may show any part of the scene
+    centre = tuple(c + rng.uniform(-free, free) * n for c, n in zip(centre, (height, width), strict=True))
+    return look(scenes, i, placement(size, centre, whole / zoom, turn(rng), bool(rng.random() < 0.5)), size)
+
+
+def window_view(scenes, i: int, size: tuple[int, int], rng: np.random.Generator, mistaken: float = 0.35) -> View:
+    """Return a window around a blob of the region, or around something that stage one might take for glass.
+
+    Args:
+        scenes: a ``scenedata.Scenes``, with instances.
+        i: which one.
+        size: (H, W) of the view.
+        rng: draws the blob, the window about it and the mistakes.
+        mistaken: chance that the region is not the true one.
+    """
+    region = (scenes.material[i] == 1) | (scenes.material[i] == 2)
+    claimed = None
+    wrong = rng.random() < mistaken or not region.any()
+    if wrong:
+        claimed = false_claim(scenes, i, rng)
+    box = _some_box(claimed if wrong and (rng.random() < 0.6 or not region.any()) else region, rng)
+    longest = max(region.shape)
+    side = max(MARGIN * max(box[2] - box[0], box[3] - box[1]) * np.exp(rng.uniform(-0.5, 0.4)), LEAST * longest)
+    side = min(side, 1.2 * longest)
+    centre = [(a + b) / 2 + side * rng.uniform(-0.12, 0.12) for a, b in ((box[0], box[2]), (box[1], box[3]))]
+    matrix = placement(size, tuple(centre), side / size[0], turn(rng), bool(rng.random() < 0.5))
+    view = look(scenes, i, matrix, size, claimed)
+    return replace(view, region=blunder(view.region, rng) if rng.random() < mistaken else grow(view.region, rng))
+
+
+def false_claim(scenes, i: int, rng: np.random.Generator) -> np.ndarray:
+    """Return (h, w) bool: an opaque thing of the scene, or a patch of it, that a mistaken stage one claims."""
+    instances, height, width = scenes.instances[i], *scenes.material[i].shape
+    opaque = np.unique(instances[(scenes.material[i] == 0) & (instances > 0)])
+    if opaque.size and rng.random() < 0.7:
+        return instances == rng.choice(opaque)
+    out = np.zeros((height, width), np.uint8)
+    axes = (rng.uniform(0.03, 0.2, 2) * width).astype(int) + 1
+    at = (int(rng.integers(width)), int(rng.integers(height)))
+    cv2.ellipse(out, at, tuple(map(int, axes)), float(rng.uniform(0, 180)), 0, 360, 1, -1)
+    return out > 0
+
+
+def _some_box(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return (top, left, bottom, right) of one blob, larger ones more often; of the whole frame where there is none."""
+    count, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    if count < 2:
+        return np.array([0, 0, *mask.shape])
+    areas = np.sqrt(stats[1:, cv2.CC_STAT_AREA])
+    left, top, width, height = stats[1 + rng.choice(count - 1, p=areas / areas.sum()), :4]
+    return np.array([top, left, top + height, left + width])
+
+
+def grow(region: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return a region grown by up to 4 pixels, or shrunk by one, as refinement would leave it."""
+    pixels = int(rng.integers(-1, 5))
+    if pixels == 0:
+        return region
+    kernel = np.ones((2 * abs(pixels) + 1,) * 2, np.uint8)
+    change = cv2.dilate if pixels > 0 else cv2.erode
+    return change(region.astype(np.uint8), kernel) > 0
+
+
+def blunder(region: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return a region with a rough outline, a part missed and a part too many."""
+    height, width = region.shape
+    field = cv2.GaussianBlur(rng.normal(size=region.shape).astype(np.float32), (0, 0), float(rng.uniform(4, 14)))
+    field /= field.std() + 1e-6
+    inside = region.astype(np.uint8)
+    near = cv2.dilate(inside, np.ones((15, 15), np.uint8)) > 0
+    far = cv2.erode(inside, np.ones((9, 9), np.uint8)) > 0
+    level = rng.uniform(-0.5, 1.0)
+    out = far | (near & (field > level)) if rng.random() < 0.5 else region & (field > rng.uniform(-2.5, -0.7))
+    return grow(out, rng)
+
+
+def disturb(view: View, rng: np.random.Generator) -> View:
+    """Vary the colours and lose, thin out or spoil readings as cameras and mountings do."""
+    rgb = colours(view.rgb, rng)
+    depth = lose(view.depth, rng)
+    if rng.random() < 0.2:
+        depth = spoil(depth, rng)
+    if rng.random() < 0.06:
+        depth = thin_out(depth, rng)
+    return replace(view, rgb=rgb, depth=depth if (depth > 0).sum() > 20 else view.depth)
+
+
+def lose(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Lose readings in patches, up to half of a picture, so that a hole by itself does not come to mean glass."""
+    kind = rng.random()
+    if kind < 0.55:
+        return depth
+    height, width = depth.shape
+    coarse = rng.normal(size=(max(2, height // int(rng.integers(6, 40))),) * 2).astype(np.float32)
+    field = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    share = rng.uniform(0, 0.5) if kind > 0.7 else rng.uniform(0, 0.15)
+    return np.where(field >= np.quantile(field, share), depth, 0).astype(np.float32)
+
+
+def spoil(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Add far and near stray readings, single ones and specks, up to one in two hundred."""
+    out = depth.copy()
+    count = int(rng.uniform(0, 0.005) * depth.size)
+    for _ in range(count // 3 + 1):
+        y, x = int(rng.integers(depth.shape[0])), int(rng.integers(depth.shape[1]))
+        r = int(rng.integers(1, 4))
+        factor = rng.uniform(1.5, 15) if rng.random() < 0.6 else rng.uniform(0.05, 0.5)
+        out[y : y + r, x : x + r] = np.median(depth[depth > 0]) * factor if (depth > 0).any() else 0
+    return out
+
+
+def thin_out(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Keep few readings: some in a thousand, or every so many rows, as a sparse or a scanning sensor gives."""
+    if rng.random() < 0.5:
+        keep = rng.random(depth.shape) < np.exp(rng.uniform(np.log(0.003), np.log(0.05)))
+        return np.where(keep, depth, 0).astype(np.float32)
+    out = np.zeros_like(depth)
+    step = int(rng.integers(4, 14))
+    first = int(rng.integers(step))
+    out[first::step] = depth[first::step]
+    return out
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Tensors of B views in network units: rgb (B, 3, H, W) in [-1, 1], all others (B, 1, H, W) unless said."""
+
+    rgb: Tensor
+    depth_n: Tensor  # raw, 0 where missing or hidden
+    valid: Tensor
+    gt_n: Tensor  # ground truth, 0 where unknown
+    gt_known: Tensor
+    material: Tensor  # (B, H, W) int64
+    region: Tensor
+    bounds: Bounds  # tensors (B, 1, 1, 1)
+    guide_rgb: Tensor | None
+    guide_da: Tensor | None
+
+    def relative_error(self, depth_n: Tensor) -> Tensor:
+        """Return (predicted - true) / middle of the frame, (B, 1, H, W); 0 where the truth is unknown."""
+        middle = (self.bounds.low * self.bounds.high).sqrt()
+        error = (self.bounds.denormalise(depth_n) - self.bounds.denormalise(self.gt_n)) / middle
+        return torch.where(self.gt_known > 0, error, 0.0)
+
+
+def batch_of(views: list[View], backend: Backend | None = None, around: bool = False) -> Batch:
+    """Normalise views and stack them.
+
+    Args:
+        views: of one size.
+        backend: finds the guides; None leaves them out.
+        around: take the bounds from readings outside the region, as windows do.
+    """
+    rows = {name: [] for name in ("depth_n", "valid", "gt_n", "gt_known", "region", "guide_rgb", "guide_da")}
+    lows, highs = [], []
+    for view in views:
+        depth = np.where(strays(view.depth), 0, view.depth)
+        if not (depth > 0).any():
+            depth = view.depth_gt if (view.depth_gt > 0).any() else np.ones_like(depth)
+        bounds = depth_bounds(depth, ~view.region if around else None)
+        lows.append(bounds.low)
+        highs.append(bounds.high)
+        rows["depth_n"].append(bounds.normalise(depth))
+        rows["valid"].append(depth > 0)
+        rows["gt_n"].append(bounds.normalise(view.depth_gt))
+        rows["gt_known"].append(view.depth_gt > 0)
+        rows["region"].append(view.region)
+        if backend is not None:
+            maps = boundary_maps(view.rgb, depth.astype(np.float32), backend)
+            rows["guide_rgb"].append(maps[M_RGB])
+            rows["guide_da"].append(maps[M_DA])
+    stacked = {k: torch.from_numpy(np.stack(v).astype(np.float32))[:, None] for k, v in rows.items() if v}
+    column = [torch.tensor(v, dtype=torch.float32).view(-1, 1, 1, 1) for v in (lows, highs)]
+    return Batch(
+        rgb=to_tensor(np.stack([v.rgb for v in views])),
+        material=torch.from_numpy(np.stack([v.material for v in views]).astype(np.int64)),
+        bounds=Bounds(*column),
+        guide_rgb=stacked.pop("guide_rgb", None),
+        guide_da=stacked.pop("guide_da", None),
+        **stacked,
+    )
