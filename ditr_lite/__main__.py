@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from ditr_lite import bench_commands, boundary_commands, commands
+from . import bench_commands, boundary_commands, commands
 
 DATASETS = ("cleargrasp", "cleargrasp_synthetic", "todd", "std", "dreds", "trosd", "transcg", "folder")
 PROTOCOLS = ("cleargrasp", "lidf", "transparenet", "dfnet", "swindrnet", "d3roma", "marigold")

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ditr_lite.tables import PARTS, Table
+from .tables import PARTS, Table
 
 ROUNDING = (0.0005, 0.005)  # half of the last printed place: of metres and ratios, of per cent
 TINY = 1e-9  # of binary fractions

@@ -102,11 +102,17 @@ class VectorQuantizer(nn.Module):
         codes = self.codebook[index].view(*shape, channels).permute(0, 3, 1, 2)  # (N, C) -> (B, C, h, w)
         loss = self.beta * F.mse_loss(z, codes)  # codes is a buffer: this side of the loss reaches the encoder only
         if self.training:
-            self._follow(flat.detach(), index)
+            self.follow(flat.detach(), index)
         return z + (codes - z).detach(), loss, index.view(shape)
 
     @torch.no_grad()
-    def _follow(self, flat: Tensor, index: Tensor) -> None:
+    def follow(self, flat: Tensor, index: Tensor) -> None:
+        """Move every code towards the vectors that chose it: one step of both moving averages.
+
+        Args:
+            flat: (N, C) vectors.
+            index: (N,) which code each of them chose.
+        """
         flat = flat.to(self.total.dtype)
         hits = torch.bincount(index, minlength=len(self.count))
         sums = torch.zeros_like(self.total).index_add_(0, index, flat)

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ditr_lite.boundary import (
+from .boundary import (
     Backend,
     boundaries_from_labels,
     boundary_maps,
@@ -19,9 +19,9 @@ from ditr_lite.boundary import (
     get_backend,
     precision_recall_f,
 )
-from ditr_lite.data import TRANSPARENT, Sample
-from ditr_lite.store import WEIGHTS, sha256
-from ditr_lite.summaries import bootstrap_mean, paired_bootstrap
+from .data import TRANSPARENT, Sample
+from .store import WEIGHTS, sha256
+from .summaries import bootstrap_mean, paired_bootstrap
 
 CANNY = {"sigma": (0.0, 1.0, 1.5, 2.0, 3.0), "high": (30, 60, 90, 120, 180, 250, 350), "ratio": (0.3, 0.5, 0.8)}
 MAPS = ("m_rgb", "m_d", "m_da")

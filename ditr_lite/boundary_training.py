@@ -11,14 +11,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ditr_lite.boundary import precision_recall_f
-from ditr_lite.boundary_learned import begin_with_stage_one, build, depth_image, thin
-from ditr_lite.boundary_scoring import true_maps
-from ditr_lite.config import from_dict, preset
-from ditr_lite.data import read_sample
-from ditr_lite.scenedata import Scenes, checksum, draw, load_scenes
-from ditr_lite.store import CARD, load_part, read_card, save_part
-from ditr_lite.training import Recipe, fit
+from .boundary import precision_recall_f
+from .boundary_learned import begin_with_stage_one, build, depth_image, thin
+from .boundary_scoring import true_maps
+from .config import from_dict, preset
+from .data import read_sample
+from .scenedata import Scenes, checksum, draw, load_scenes
+from .store import CARD, load_part, read_card, save_part
+from .training import Recipe, fit
 
 RECIPE = Recipe(steps=3000, batch=8, lr=3e-3, warmup=30, decay=0.99)
 DEPTH_SHARE = 1 / 3  # of the steps, for the depth network: there is less to see in depth

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.stats import rankdata
 
-from ditr_lite import failures
-from ditr_lite.ablation import compare_seeds
-from ditr_lite.checker import Function, check
-from ditr_lite.draws import reliability
+from . import failures
+from .ablation import compare_seeds
+from .checker import Function, check
+from .draws import reliability
 
 
 def check_paired_mean(attempt: Function) -> bool:

@@ -9,10 +9,10 @@ import math
 import numpy as np
 import torch
 
-from ditr_lite.autoencoder import VectorQuantizer, VQAutoencoder
-from ditr_lite.checker import Function, check
-from ditr_lite.config import AutoencoderConfig
-from ditr_lite.floor import perplexity
+from .autoencoder import VectorQuantizer, VQAutoencoder
+from .checker import Function, check
+from .config import AutoencoderConfig
+from .floor import perplexity
 
 RNG = np.random.default_rng(7)
 CODES, OTHER_CODES = 3 * RNG.normal(size=(5, 2)), 3 * RNG.normal(size=(4, 3))  # of unlike length: |b|^2 matters
@@ -149,7 +149,7 @@ def check_moving_average(attempt: Function) -> bool:
         vq = quantizer(total / count[:, None], decay=decay)
         vq.count.copy_(torch.from_numpy(count))
         vq.total.copy_(torch.from_numpy(total))
-        vq._follow(torch.from_numpy(vectors), torch.from_numpy(index))
+        vq.follow(torch.from_numpy(vectors), torch.from_numpy(index))
         return vq.codebook.numpy()
 
     def hits(count, vectors, index):

@@ -5,9 +5,9 @@ The right answers come from ``boundary`` and ``boundary_sam``, the files that th
 
 import numpy as np
 
-from ditr_lite.boundary import boundaries_from_labels, depth_aware, depth_boundaries, precision_recall_f, within
-from ditr_lite.boundary_sam import outlines, suppress
-from ditr_lite.checker import Function, check
+from .boundary import boundaries_from_labels, depth_aware, depth_boundaries, precision_recall_f, within
+from .boundary_sam import outlines, suppress
+from .checker import Function, check
 
 LABELS = np.zeros((9, 12), int)  # two objects that touch, one of them behind both sides of the frame; a small one
 LABELS[2:6, 0:4], LABELS[2:4, 11], LABELS[3:7, 4:8], LABELS[7:9, 10] = 1, 1, 2, 3

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ditr_lite import metrics
-from ditr_lite.audit import implied_weight
-from ditr_lite.checker import Function, check
+from . import metrics
+from .audit import implied_weight
+from .checker import Function, check
 
 
 def _maps(seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import torch
 
-from ditr_lite import metrics
-from ditr_lite.checker import Function, check
-from ditr_lite.config import RefineConfig
-from ditr_lite.finetune import soft_compose, soft_region
-from ditr_lite.region import CrossModalFusion, refine_region
-from ditr_lite.region_training import paper_learning_rate
+from . import metrics
+from .checker import Function, check
+from .config import RefineConfig
+from .finetune import soft_compose, soft_region
+from .region import CrossModalFusion, refine_region
+from .region_training import paper_learning_rate
 
 RNG = np.random.default_rng(2)
 

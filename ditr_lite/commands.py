@@ -17,13 +17,13 @@ MAKE_VAL = "python -m ditr_lite simulate"
 
 def complete(args: Namespace) -> None:
     """Complete one RGB-D frame of any camera and write the depth; on request a point cloud and a picture too."""
-    _check_target(args.out, ".png", ".npy", ".exr")
-    _check_target(args.ply, ".ply")
-    _check_target(args.panel, ".png")
+    check_target(args.out, ".png", ".npy", ".exr")
+    check_target(args.ply, ".ply")
+    check_target(args.panel, ".png")
     if args.ply and not args.intrinsics:
         raise ValueError("--ply needs the camera: give --intrinsics FILE (3x3 matrix, or lines fx: cx: ...)")
-    from ditr_lite.camera import read_intrinsics, write_ply
-    from ditr_lite.files import read_depth, read_mask, read_rgb, write_depth
+    from .camera import read_intrinsics, write_ply
+    from .files import read_depth, read_mask, read_rgb, write_depth
 
     rgb, depth = read_rgb(args.rgb), read_depth(args.depth, args.depth_scale)
     region = read_mask(args.region) if args.region else None
@@ -31,12 +31,12 @@ def complete(args: Namespace) -> None:
         if array is not None and array.shape != rgb.shape[:2]:
             raise ValueError(f"{path} is {array.shape}, {args.rgb} {rgb.shape[:2]} (height, width): align them first")
     camera = read_intrinsics(args.intrinsics, rgb.shape[:2]) if args.intrinsics else None
-    out = _load(args)(rgb, depth, region, args.steps, args.samples, args.adjust, args.seed)
+    out = load_system(args)(rgb, depth, region, args.steps, args.samples, args.adjust, args.seed)
     write_depth(args.out, out.depth)
     if args.ply:
         write_ply(args.ply, out.depth, rgb, camera)
     if args.panel:
-        from ditr_lite.viz import save_panel
+        from .viz import save_panel
 
         save_panel(args.panel, rgb, depth, out.depth, out.region, out.std)
     height, width = out.depth.shape
@@ -49,37 +49,37 @@ def complete(args: Namespace) -> None:
 
 def evaluate(args: Namespace) -> None:
     """Score DITR and every baseline on a split of rendered scenes or on a real dataset, and print the tables."""
-    _check_target(args.json, ".json")
-    source, frames = _frames(args)
-    from ditr_lite import evaluation, protocols
-    from ditr_lite.files import write_json
+    check_target(args.json, ".json")
+    source, frames = chosen_frames(args)
+    from . import evaluation, protocols
+    from .files import write_json
 
     name = args.protocol or ("cleargrasp" if args.dataset == "cleargrasp" else None)
     protocol = protocols.PROTOCOLS.get(name)
     results = evaluation.run_methods(
-        frames, _load(args), None, args.given_region, args.steps, args.samples, protocol=protocol
+        frames, load_system(args), None, args.given_region, args.steps, args.samples, protocol=protocol
     )
     print(f"{source}, region {'given' if args.given_region else 'found by stage one'}")
     print(evaluation.format_report(evaluation.summary(results, protocol), protocol))
     if args.json:
         notes = {"source": source, "given_region": args.given_region, "steps": args.steps, "samples": args.samples}
-        write_json(args.json, evaluation.to_json(results, _line(args), args.weights, protocol, **notes))
+        write_json(args.json, evaluation.to_json(results, command_line(args), args.weights, protocol, **notes))
 
 
 def floor(args: Namespace) -> None:
     """Print what is lost when the ground truth of a split is encoded and decoded, and how many codes are in use."""
-    _check_target(args.json, ".json")
-    source, frames = _frames(args)
-    from ditr_lite.files import write_json
-    from ditr_lite.floor import format_floor, load_autoencoder, measure_floor
-    from ditr_lite.store import read_card
+    check_target(args.json, ".json")
+    source, frames = chosen_frames(args)
+    from .files import write_json
+    from .floor import format_floor, load_autoencoder, measure_floor
+    from .store import read_card
 
     report = measure_floor(frames, load_autoencoder(args.weights))
     print(f"{source}, ground truth encoded and decoded")
     print(format_floor(report))
     if args.json:
         checksum = read_card(args.weights)["parts"]["autoencoder"]["sha256"]
-        write_json(args.json, {"command": _line(args), "weights_sha256": checksum, "source": source, **report})
+        write_json(args.json, {"command": command_line(args), "weights_sha256": checksum, "source": source, **report})
 
 
 def simulate(args: Namespace) -> None:
@@ -99,8 +99,8 @@ def simulate(args: Namespace) -> None:
         if args.count is None:
             raise ValueError("--split needs --count, the number of scenes")
         jobs = [(args.split, args.count, args.first_seed or 0, args.infrared or 0)]
-    from ditr_lite.data import SAMPLES
-    from ditr_lite.simulate import simulate_many
+    from .data import SAMPLES
+    from .simulate import simulate_many
 
     home = Path("outputs/sensors") / args.sensor if args.sensor else Path("outputs/scenes")
     root = args.out or (SAMPLES if args.split is None else home)
@@ -111,8 +111,8 @@ def simulate(args: Namespace) -> None:
 
 def export(args: Namespace) -> None:
     """Write existing scenes in the layout of a real dataset."""
-    from ditr_lite import exports
-    from ditr_lite.data import list_samples, load_sample
+    from . import exports
+    from .data import list_samples, load_sample
 
     name, folder = args.export_as
     split = args.split or "val"
@@ -125,10 +125,10 @@ def train(args: Namespace) -> None:
     """Train one part, or all in the order in which they need each other, and write weights and card."""
     from dataclasses import replace
 
-    from ditr_lite import fitting
-    from ditr_lite.config import override, preset
-    from ditr_lite.recipes import RECIPES
-    from ditr_lite.store import WEIGHTS
+    from . import fitting
+    from .config import override, preset
+    from .recipes import RECIPES
+    from .store import WEIGHTS
 
     if args.part not in ("all", *fitting.PARTS):
         raise ValueError(f"unknown part {args.part!r}; choose all or one of {', '.join(fitting.PARTS)}")
@@ -138,14 +138,14 @@ def train(args: Namespace) -> None:
     if args.preset == "tiny" and settings and args.part == "all":
         return experiment(args, settings, changes)
     args.data = args.data or Path("outputs/scenes/train")
-    _check_scenes(args)
+    check_scenes(args)
     # Only the plain lite preset goes where the shipped weights and their checkpoints are.
     tag = "-".join([args.preset, *([fitting.folder_name(settings)] if settings else [])])
     out = args.out or (WEIGHTS if tag == "lite" else Path("outputs/weights") / tag)
     work = args.work or (Path("outputs/training") if tag == "lite" else Path("outputs/training") / tag)
     for part in fitting.PARTS if args.part == "all" else [args.part]:
         recipe = replace(RECIPES[part], **changes)
-        how = (args.limit, args.seed, args.boundary, args.start, _line(args))
+        how = (args.limit, args.seed, args.boundary, args.start, command_line(args))
         notes = fitting.train(part, config, args.data, args.val, out, work, recipe, *how)
         last = {k: v for k, v in (notes["curve"] or [{}])[-1].items() if k.startswith("val_")}
         figures = ", ".join(f"{k.removeprefix('val_')} {v:.4f}" for k, v in last.items())
@@ -156,14 +156,14 @@ def experiment(args: Namespace, settings: dict[str, str], changes: dict[str, flo
     """Train the tiny preset as it is and with settings changed, score both on the same frames, and compare them."""
     from dataclasses import replace
 
-    from ditr_lite.experiment import QUICK, compare, format_comparison
+    from .experiment import QUICK, compare, format_comparison
 
     if args.start:
         raise ValueError("a comparison trains both systems afresh: leave --start out, or train one --part with it")
     recipes = {part: replace(recipe, **changes) for part, recipe in QUICK.items()}
     given = ("data", "val", "out", "work", "limit", "seed", "boundary")
     how = {name: value for name in given if (value := getattr(args, name)) is not None}
-    result = compare(settings, recipes=recipes, command=_line(args), **how)
+    result = compare(settings, recipes=recipes, command=command_line(args), **how)
     print(format_comparison(result))
 
 
@@ -183,20 +183,20 @@ class _First:
         return (self.read(name) for name in self.names)
 
 
-def _frames(args: Namespace) -> tuple[str, _First]:
+def chosen_frames(args: Namespace) -> tuple[str, _First]:
     """Return what to call the frames and the frames themselves; refuse those that cannot be scored."""
     if args.limit is not None and args.limit < 1:
         raise ValueError(f"--limit should be at least 1, got {args.limit}")
     if getattr(args, "dataset", None) is None:
         from functools import partial
 
-        from ditr_lite.data import list_samples, load_sample
+        from .data import list_samples, load_sample
 
         split = args.split or "test"
         return f"{split} split", _First(
             list_samples(split, args.root), partial(load_sample, root=args.root), args.limit
         )
-    from ditr_lite.datasets import REGISTRY
+    from .datasets import REGISTRY
 
     if args.dataset not in REGISTRY:
         raise ValueError(f"unknown dataset {args.dataset!r}; choose one of {', '.join(REGISTRY)}")
@@ -209,9 +209,9 @@ def _frames(args: Namespace) -> tuple[str, _First]:
     return f"{args.dataset} in {args.root}{f', split {args.split}' if args.split else ''}", frames
 
 
-def _check_scenes(args: Namespace) -> None:
+def check_scenes(args: Namespace) -> None:
     """Refuse folders without scenes; ``val`` is the shipped split by default."""
-    from ditr_lite.data import SAMPLES
+    from .data import SAMPLES
 
     args.val = args.val or SAMPLES / "val"
     for folder, command in ((args.data, MAKE_TRAIN), (args.val, MAKE_VAL)):
@@ -219,13 +219,15 @@ def _check_scenes(args: Namespace) -> None:
             raise ValueError(f"no scenes in {folder}: make them with `{command}`")
 
 
-def _load(args: Namespace):
-    from ditr_lite.pipeline import Ditr
+def load_system(args: Namespace):
+    """Return the system with the weights that the command line names."""
+    from .pipeline import Ditr
 
     return Ditr.from_pretrained(path=args.weights)
 
 
-def _line(args: Namespace) -> str:
+def command_line(args: Namespace) -> str:
+    """Return the command as it can be typed again; results files name it."""
     return shlex.join(["python", "-m", "ditr_lite", *args.argv])
 
 
@@ -236,7 +238,7 @@ def _setting(text: str) -> tuple[str, str]:
     return key, value
 
 
-def _check_target(path: Path | None, *suffixes: str) -> None:
+def check_target(path: Path | None, *suffixes: str) -> None:
     """Refuse a file that could not be written before any work is done."""
     if path is None:
         return

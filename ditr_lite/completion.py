@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ditr_lite.config import StdConfig
-from ditr_lite.data import clean_depth
+from .config import StdConfig
+from .data import clean_depth
 
 
 @dataclass(frozen=True)

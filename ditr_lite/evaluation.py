@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 from tqdm.auto import tqdm
 
-from ditr_lite import metrics
-from ditr_lite.baselines import REGISTRY, Fill, compose
-from ditr_lite.conditioning import fit
-from ditr_lite.data import Sample, clean_depth
-from ditr_lite.pipeline import Completion, Ditr
-from ditr_lite.protocols import Protocol
-from ditr_lite.region_scores import PER_CLASS, class_map, class_scores
-from ditr_lite.store import read_card
-from ditr_lite.summaries import format_interval
+from . import metrics
+from .baselines import REGISTRY, Fill, compose
+from .conditioning import fit
+from .data import Sample, clean_depth
+from .pipeline import Completion, Ditr
+from .protocols import Protocol
+from .region_scores import PER_CLASS, class_map, class_scores
+from .store import read_card
+from .summaries import format_interval
 
 DITR, SENSOR = RESERVED = "ditr", "sensor"  # rows that are not methods
 COMPARED = ("optical", "optical_valid", "geometric")  # where differences get an interval

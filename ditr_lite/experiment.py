@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from ditr_lite.config import Config, override, preset, to_dict
-from ditr_lite.data import SAMPLES, read_sample
-from ditr_lite.evaluation import DITR, run_methods
-from ditr_lite.fitting import PARTS, check_same_system, folder_name, train_on
-from ditr_lite.pipeline import Ditr, build
-from ditr_lite.scenedata import Scenes, checksum, first, join, load_scenes, shrink
-from ditr_lite.store import CARD, load_part, read_card, save_part
-from ditr_lite.summaries import format_interval, paired_bootstrap
-from ditr_lite.training import Recipe
+from .config import Config, override, preset, to_dict
+from .data import SAMPLES, read_sample
+from .evaluation import DITR, run_methods
+from .fitting import PARTS, check_same_system, folder_name, train_on
+from .pipeline import Ditr, build
+from .scenedata import Scenes, checksum, first, join, load_scenes, shrink
+from .store import CARD, load_part, read_card, save_part
+from .summaries import format_interval, paired_bootstrap
+from .training import Recipe
 
 SCORED = ("optical", "geometric")  # Table V's two kinds of loss
 QUICK = {

@@ -10,15 +10,15 @@ import math
 import numpy as np
 import torch
 
-from ditr_lite import boundary, conditioning, diffusion, metrics, region
-from ditr_lite.audit import beaten_in, below_rel_floor, implied_weight, rank_orders
-from ditr_lite.costs import vit_flops
-from ditr_lite.data import SAMPLES, list_samples, load_sample
-from ditr_lite.region_training import trosnet_learning_rate
-from ditr_lite.schedule import make_schedule
-from ditr_lite.store import WEIGHTS
-from ditr_lite.tables import SIZES, SIZES_ELSEWHERE, T1, T2, T3, T5, T6
-from ditr_lite.unet import CrossAttentionFeatureQuery, CrossAttentionLatentQuery
+from . import boundary, conditioning, diffusion, metrics, region
+from .audit import beaten_in, below_rel_floor, implied_weight, rank_orders
+from .costs import vit_flops
+from .data import SAMPLES, list_samples, load_sample
+from .region_training import trosnet_learning_rate
+from .schedule import make_schedule
+from .store import WEIGHTS
+from .tables import SIZES, SIZES_ELSEWHERE, T1, T2, T3, T5, T6
+from .unet import CrossAttentionFeatureQuery, CrossAttentionLatentQuery
 
 RESULTS = WEIGHTS / "results_test.json"
 

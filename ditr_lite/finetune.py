@@ -26,13 +26,13 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from tqdm.auto import tqdm
 
-from ditr_lite import recipes
-from ditr_lite.config import Config, RefineConfig
-from ditr_lite.detail import detail_input
-from ditr_lite.region import region_loss, region_probability
-from ditr_lite.region_training import descend, epoch_batches, known_classes, sgd
-from ditr_lite.scenedata import Batch, Scenes
-from ditr_lite.schedule import make_schedule
+from . import recipes
+from .config import Config, RefineConfig
+from .detail import detail_input
+from .region import region_loss, region_probability
+from .region_training import descend, epoch_batches, known_classes, sgd
+from .scenedata import Batch, Scenes
+from .schedule import make_schedule
 
 RATE, EPOCHS = 1e-3, 50  # the paper's
 STEEPNESS = 20.0

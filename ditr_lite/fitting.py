@@ -11,17 +11,17 @@ import numpy as np
 import torch
 from torch import nn
 
-from ditr_lite import recipes
-from ditr_lite.conditioning import fill
-from ditr_lite.config import Config, from_dict, to_dict
-from ditr_lite.data import SAMPLES
-from ditr_lite.metrics import iou
-from ditr_lite.pipeline import build
-from ditr_lite.region import region_probability
-from ditr_lite.scenedata import Scenes, checksum, load_scenes
-from ditr_lite.schedule import make_schedule
-from ditr_lite.store import CARD, WEIGHTS, copy_weights, load_part, read_card, save_part
-from ditr_lite.training import Recipe, fit
+from . import recipes
+from .conditioning import fill
+from .config import Config, from_dict, to_dict
+from .data import SAMPLES
+from .metrics import iou
+from .pipeline import build
+from .region import region_probability
+from .scenedata import Scenes, checksum, load_scenes
+from .schedule import make_schedule
+from .store import CARD, WEIGHTS, copy_weights, load_part, read_card, save_part
+from .training import Recipe, fit
 
 PARTS = ("autoencoder", "region", "optical", "geometric", "detail")  # in the order in which they need each other
 NETWORKS = ("region", "autoencoder", "schedule", "unet", "detail")  # settings that make the networks

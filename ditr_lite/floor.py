@@ -14,13 +14,13 @@ import torch
 from torch import Tensor
 from tqdm.auto import tqdm
 
-from ditr_lite.autoencoder import VQAutoencoder, depth_steps
-from ditr_lite.conditioning import depth_bounds, fill
-from ditr_lite.config import from_dict
-from ditr_lite.data import Sample
-from ditr_lite.metrics import bootstrap_mean, pixel_sets
-from ditr_lite.store import load_part, read_card
-from ditr_lite.summaries import format_interval
+from .autoencoder import VQAutoencoder, depth_steps
+from .conditioning import depth_bounds, fill
+from .config import from_dict
+from .data import Sample
+from .metrics import bootstrap_mean, pixel_sets
+from .store import load_part, read_card
+from .summaries import format_interval
 
 EDGE = 0.05  # relative step between neighbours from which a pixel lies at a depth edge
 SETS = ("whole", "optical", "geometric", "edge", "interior")

@@ -6,7 +6,7 @@ A misprint is called a misprint; what is not said is called not said. ``entry.me
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ditr_lite import findings
+from . import findings
 
 VERDICTS = ("misprint", "in the limit", "not said", "in part", "contradictory", "no")
 

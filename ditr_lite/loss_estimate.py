@@ -12,9 +12,9 @@ from enum import IntEnum
 import cv2
 import numpy as np
 
-from ditr_lite.baselines import harmonic
-from ditr_lite.data import Camera, Stereo
-from ditr_lite.loss_types import FACET_STEP, Cause, LossType, check_depth, check_mask, reproject
+from .baselines import harmonic
+from .data import Camera, Stereo
+from .loss_types import FACET_STEP, Cause, LossType, check_depth, check_mask, reproject
 
 # Chosen on the validation split.
 IN_FRONT = 0.05  # a reading this share nearer than what surrounds the region is taken for the object itself

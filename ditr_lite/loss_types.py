@@ -10,7 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from ditr_lite.data import Camera
+from .data import Camera
 
 WRONG_ABS_M = 0.010  # a reading is wrong when it is off by more than 10 mm ...
 WRONG_REL = 0.02  # ... and by more than 2 % of the true depth

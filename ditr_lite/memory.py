@@ -12,9 +12,9 @@ from pathlib import Path
 import psutil
 import torch
 
-from ditr_lite import latency
-from ditr_lite.data import Sample
-from ditr_lite.pipeline import Ditr
+from . import latency
+from .data import Sample
+from .pipeline import Ditr
 
 INTERVAL_S = 0.002
 MEGABYTE = 1e6

@@ -7,9 +7,9 @@ these divide by the number of pixels that have ground truth.
 
 import numpy as np
 
-from ditr_lite.audit import audit_table
-from ditr_lite.loss_types import check_depth, check_mask
-from ditr_lite.summaries import (
+from .audit import audit_table
+from .loss_types import check_depth, check_mask
+from .summaries import (
     METRICS,
     SETS,
     Scores,

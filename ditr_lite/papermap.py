@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from ditr_lite.papermap_entries import ENTRIES
+from .papermap_entries import ENTRIES
 
 STATES = ("done", "left out")
 GROUPS = {

@@ -12,18 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from ditr_lite import metrics
-from ditr_lite.baselines import REGISTRY, compose
-from ditr_lite.completion import Completion
-from ditr_lite.config import from_dict
-from ditr_lite.data import Sample
-from ditr_lite.floor import reconstruct
-from ditr_lite.peers import load_peers
-from ditr_lite.pipeline import Ditr, build
-from ditr_lite.store import WEIGHTS, load_part, load_parts, read_card
-from ditr_lite.summaries import bootstrap_mean, format_interval, paired_bootstrap, ratio_bootstrap
-from ditr_lite.swaps import SWAPS, Swapped
-from ditr_lite.tables import T1, T4, T5
+from . import metrics
+from .baselines import REGISTRY, compose
+from .completion import Completion
+from .config import from_dict
+from .data import Sample
+from .floor import reconstruct
+from .peers import load_peers
+from .pipeline import Ditr, build
+from .store import WEIGHTS, load_part, load_parts, read_card
+from .summaries import bootstrap_mean, format_interval, paired_bootstrap, ratio_bootstrap
+from .swaps import SWAPS, Swapped
+from .tables import T1, T4, T5
 
 RESULTS = WEIGHTS / "results_peers.json"
 SETS = ("optical", "geometric", "whole")

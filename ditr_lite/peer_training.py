@@ -25,15 +25,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ditr_lite import diffusion, peers, recipes
-from ditr_lite.autoencoder import VQAutoencoder
-from ditr_lite.config import Config, preset
-from ditr_lite.files import write_json
-from ditr_lite.pipeline import build
-from ditr_lite.scenedata import Batch, Scenes, checksum, draw, first, load_scenes
-from ditr_lite.schedule import make_schedule
-from ditr_lite.store import WEIGHTS, load_part, save_part
-from ditr_lite.training import Recipe, fit
+from . import diffusion, peers, recipes
+from .autoencoder import VQAutoencoder
+from .config import Config, preset
+from .files import write_json
+from .pipeline import build
+from .scenedata import Batch, Scenes, checksum, draw, first, load_scenes
+from .schedule import make_schedule
+from .store import WEIGHTS, load_part, save_part
+from .training import Recipe, fit
 
 ARMS = {
     **{name: {name: 1.0} for name in peers.NAMES},

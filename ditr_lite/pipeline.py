@@ -9,17 +9,17 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ditr_lite.autoencoder import VQAutoencoder
-from ditr_lite.boundary import M_DA, M_RGB, boundary_maps, get_backend
-from ditr_lite.completion import Completion, check_inputs, compose, expected_error
-from ditr_lite.conditioning import CHANNELS, Bounds, Frame, condition, depth_bounds, depth_tensors, fit, to_tensor
-from ditr_lite.config import Config
-from ditr_lite.detail import DetailNet, detail_input
-from ditr_lite.diffusion import sample
-from ditr_lite.region import RegionNet, refine_region, region_probability
-from ditr_lite.schedule import make_schedule
-from ditr_lite.store import load_parts
-from ditr_lite.unet import DenoisingUNet
+from .autoencoder import VQAutoencoder
+from .boundary import M_DA, M_RGB, boundary_maps, get_backend
+from .completion import Completion, check_inputs, compose, expected_error
+from .conditioning import CHANNELS, Bounds, Frame, condition, depth_bounds, depth_tensors, fit, to_tensor
+from .config import Config
+from .detail import DetailNet, detail_input
+from .diffusion import sample
+from .region import RegionNet, refine_region, region_probability
+from .schedule import make_schedule
+from .store import load_parts
+from .unet import DenoisingUNet
 
 BRANCHES = ("optical", "geometric")
 GUIDES: dict[str, int | None] = {"optical": M_DA, "geometric": M_RGB}  # Sec. IV-C; None would be an empty map

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import torch
 
-from ditr_lite import metrics
-from ditr_lite.conditioning import depth_bounds, depth_tensors, fit, to_tensor
-from ditr_lite.config import RefineConfig
-from ditr_lite.data import REFLECTIVE, TRANSPARENT, Sample
-from ditr_lite.pipeline import Ditr
-from ditr_lite.region import refine_region
+from . import metrics
+from .conditioning import depth_bounds, depth_tensors, fit, to_tensor
+from .config import RefineConfig
+from .data import REFLECTIVE, TRANSPARENT, Sample
+from .pipeline import Ditr
+from .region import refine_region
 
 CLASSES = {"transparent": TRANSPARENT, "reflective": REFLECTIVE}
 PER_CLASS = tuple(f"{figure}_{name}" for figure in ("iou", "recall") for name in CLASSES)

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from ditr_lite.data import Camera
-from ditr_lite.scenes import PRISMS, VESSELS, Scene, Thing, cross_section, outline
-from ditr_lite.sensor import dot_pattern
-from ditr_lite.textures import environment, texture
+from .data import Camera
+from .scenes import PRISMS, VESSELS, Scene, Thing, cross_section, outline
+from .sensor import dot_pattern
+from .textures import environment, texture
 
 _CV_TO_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])  # our cameras: x right, y down; Mitsuba's: x left, y up
 _SEGMENTS = 64  # of a full turn

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from tqdm.auto import tqdm
 
-from ditr_lite import metrics
-from ditr_lite.baselines import REGISTRY, compose
-from ditr_lite.data import Sample, clean_depth
-from ditr_lite.pipeline import Ditr
+from . import metrics
+from .baselines import REGISTRY, compose
+from .data import Sample, clean_depth
+from .pipeline import Ditr
 
 Condition = Callable[[Sample, float], Sample]
 STEREO_NOISE = 0.004  # per metre: standard deviation of stereo depth is this times z squared, as in our scenes

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ditr_lite.data import REFLECTIVE, TRANSPARENT, Camera, Stereo
-from ditr_lite.loss_types import Cause, LossType, reproject
+from .data import REFLECTIVE, TRANSPARENT, Camera, Stereo
+from .loss_types import Cause, LossType, reproject
 
 
 @dataclass(frozen=True)

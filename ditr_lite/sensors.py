@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from ditr_lite import sensor, tof
-from ditr_lite.data import Camera, Stereo
-from ditr_lite.render import PROJECTOR_DEG, load, render, truth
-from ditr_lite.scenes import Scene
-from ditr_lite.sensor import Matcher
+from . import sensor, tof
+from .data import Camera, Stereo
+from .render import PROJECTOR_DEG, load, render, truth
+from .scenes import Scene
+from .sensor import Matcher
 
 Seen = list[tuple[np.ndarray, ...]]
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ditr_lite.ablation import SeedComparison, compare_seeds
-from ditr_lite.experiment import compare
-from ditr_lite.store import WEIGHTS
+from .ablation import SeedComparison, compare_seeds
+from .experiment import compare
+from .store import WEIGHTS
 
 RESULTS = WEIGHTS / "results_settings.json"
 DEFAULT = "the default"

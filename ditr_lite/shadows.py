@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ditr_lite.data import Camera, Sample
-from ditr_lite.loss_types import FACET_STEP, check_depth, reproject, shadow_width_px
+from .data import Camera, Sample
+from .loss_types import FACET_STEP, check_depth, reproject, shadow_width_px
 
 FINE = 4  # the gaps are measured on a raster this many times finer than the picture
 

@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from tqdm.auto import tqdm
 
-from ditr_lite import sensor, sensors
-from ditr_lite.data import OPAQUE, Camera, Sample, Stereo, read_meta, save_sample
-from ditr_lite.loss_types import label
-from ditr_lite.render import load, mitsuba, render, truth
-from ditr_lite.scenes import Scene, Thing, random_scene
+from . import sensor, sensors
+from .data import OPAQUE, Camera, Sample, Stereo, read_meta, save_sample
+from .loss_types import label
+from .render import load, mitsuba, render, truth
+from .scenes import Scene, Thing, random_scene
 
 SIZE = (192, 256)  # height, width of the RGB view
 INFRARED_SIZE = (232, 360)  # wider than the RGB view, so that matching has room

@@ -13,13 +13,13 @@ import numpy as np
 from torch import nn
 from tqdm.auto import tqdm
 
-from ditr_lite import metrics
-from ditr_lite.boundary import M_DA, M_RGB
-from ditr_lite.config import RefineConfig
-from ditr_lite.data import Sample
-from ditr_lite.pipeline import BRANCHES, Ditr
-from ditr_lite.summaries import bootstrap_mean, paired_bootstrap
-from ditr_lite.tables import T1, T5
+from . import metrics
+from .boundary import M_DA, M_RGB
+from .config import RefineConfig
+from .data import Sample
+from .pipeline import BRANCHES, Ditr
+from .summaries import bootstrap_mean, paired_bootstrap
+from .tables import T1, T5
 
 SCORED = ("optical", "geometric", "outside", "whole")
 PARTS = ("geometric", "optical", "whole")  # Table V's two, and Table I's

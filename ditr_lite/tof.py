@@ -14,9 +14,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ditr_lite.data import OPAQUE, TRANSPARENT, Camera
-from ditr_lite.render import load, mitsuba, render, truth
-from ditr_lite.scenes import Scene
+from .data import OPAQUE, TRANSPARENT, Camera
+from .render import load, mitsuba, render, truth
+from .scenes import Scene
 
 SHEET_M = 0.002  # glass in one wall that the scene keeps as a sheet without thickness
 WALL_PASS = 0.92  # share of light that one glass surface lets through (Fresnel, normal incidence, n = 1.5: 0.96 a side)

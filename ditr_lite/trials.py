@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ditr_lite.config import from_dict, override, preset
-from ditr_lite.costs import costs
-from ditr_lite.setting_study import DEFAULT, against_default, errors
-from ditr_lite.store import WEIGHTS, read_card
-from ditr_lite.summaries import format_interval, paired_bootstrap
+from .config import from_dict, override, preset
+from .costs import costs
+from .setting_study import DEFAULT, against_default, errors
+from .store import WEIGHTS, read_card
+from .summaries import format_interval, paired_bootstrap
 
 
 class Trial(NamedTuple):

@@ -11,13 +11,13 @@ from typing import Any
 import torch
 from torch import nn
 
-from ditr_lite import recipes
-from ditr_lite.conditioning import CHANNELS
-from ditr_lite.data import SAMPLES
-from ditr_lite.latency import median_ms
-from ditr_lite.pipeline import Ditr
-from ditr_lite.scenedata import load_scenes
-from ditr_lite.unet import count_flops
+from . import recipes
+from .conditioning import CHANNELS
+from .data import SAMPLES
+from .latency import median_ms
+from .pipeline import Ditr
+from .scenedata import load_scenes
+from .unet import count_flops
 
 NARROWER = 0.625  # the library puts more layers on a level: at this width it has as many parameters as ours
 
