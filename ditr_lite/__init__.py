@@ -11,10 +11,17 @@ __version__ = "0.1.0"
 
 # A file imports only from files that stand before it in this list.
 MODULES = (
+    "units",
     "config",
-    "data",
-    "files",
+    "conditioning",
     "camera",
+    "loss_types",
+    "summaries",
+    "metrics",
+    "files",
+    "data",
+    "tables",
+    "audit",
     "readers",
     "readers_cleargrasp",
     "readers_dreds",
@@ -23,15 +30,9 @@ MODULES = (
     "datasets",
     "exports",
     "live",
-    "loss_types",
     "shadows",
-    "summaries",
     "uncertainty",
-    "tables",
-    "audit",
-    "metrics",
     "region",
-    "conditioning",
     "store",
     "boundary_classical",
     "boundary_learned",
@@ -114,9 +115,9 @@ MODULES = (
 
 # The names that need no module in front of them.
 _HOME = {
-    "Camera": "data",
+    "Camera": "camera",
     "Sample": "data",
-    "Stereo": "data",
+    "Stereo": "camera",
     "list_samples": "data",
     "load_sample": "data",
     "read_sample": "data",

@@ -13,7 +13,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
 from .data import Sample
-from .loss_types import check_depth, check_mask
+from .units import check_depth, check_mask
 
 Fill = Callable[[np.ndarray, np.ndarray, np.ndarray | None], np.ndarray]
 

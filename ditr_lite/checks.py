@@ -8,8 +8,8 @@ still runs to its end.
 import cv2
 import numpy as np
 
+from .camera import Camera
 from .checker import Function, check, verdict
-from .data import Camera
 
 
 def check_disparity_to_depth(attempt: Function) -> bool:
@@ -213,7 +213,7 @@ def check_shadow_width(attempt: Function) -> bool:
     """Check ``attempt(z_near, z_far, baseline_m, fx) -> px``, the width of a parallax shadow: fx B (1/near - 1/far)."""
 
     def right(near, far, baseline, fx):
-        from .loss_types import shadow_width_px
+        from .camera import shadow_width_px
 
         return shadow_width_px(near, far, baseline, fx)
 

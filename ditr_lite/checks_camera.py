@@ -4,8 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from .camera import Camera
 from .checker import Function, check
-from .data import Camera, clean_depth
+from .units import clean_depth
 
 RNG = np.random.default_rng(9)
 RAW = RNG.integers(200, 3000, (4, 6)).astype(np.uint16)

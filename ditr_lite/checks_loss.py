@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from .camera import shadow_width_px
 from .checker import Function, check
 from .loss_estimate import confusion
-from .loss_types import label, partition, shadow_width_px
+from .loss_types import label, partition
 
 
 def check_match(attempt: Function) -> bool:

@@ -11,8 +11,7 @@ import numpy as np
 import plotly.graph_objects as go
 from PIL import Image
 
-from .camera import unproject
-from .data import Camera
+from .camera import Camera, unproject
 from .panels import FONT, Picture
 
 MIME = "application/vnd.plotly.v1+json"

@@ -22,8 +22,7 @@ def complete(args: Namespace) -> None:
     check_target(args.panel, ".png")
     if args.ply and not args.intrinsics:
         raise ValueError("--ply needs the camera: give --intrinsics FILE (3x3 matrix, or lines fx: cx: ...)")
-    from .camera import read_intrinsics, write_ply
-    from .files import read_depth, read_mask, read_rgb, write_depth
+    from .files import read_depth, read_intrinsics, read_mask, read_rgb, write_depth, write_ply
 
     rgb, depth = read_rgb(args.rgb), read_depth(args.depth, args.depth_scale)
     region = read_mask(args.region) if args.region else None

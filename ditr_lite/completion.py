@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .config import StdConfig
-from .data import clean_depth
+from .units import clean_depth
 
 
 @dataclass(frozen=True)

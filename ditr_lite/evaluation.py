@@ -13,15 +13,16 @@ from typing import Any
 import numpy as np
 from tqdm.auto import tqdm
 
-from . import metrics
+from . import metrics, summaries
 from .baselines import REGISTRY, Fill, compose
 from .conditioning import fit
-from .data import Sample, clean_depth
+from .data import Sample
 from .pipeline import Completion, Ditr
 from .protocols import Protocol
 from .region_scores import PER_CLASS, class_map, class_scores
 from .store import read_card
 from .summaries import format_interval
+from .units import clean_depth
 
 DITR, SENSOR = RESERVED = "ditr", "sensor"  # rows that are not methods
 COMPARED = ("optical", "optical_valid", "geometric")  # where differences get an interval
@@ -156,11 +157,11 @@ def summary(results: Sequence[Result], protocol: Protocol | None = None) -> dict
         "images": len(results),
         "methods": _averages(results, "methods", metrics.average),
         "differences": {
-            name: {key: _interval(metrics.paired_bootstrap, rmse[DITR][key], rmse[name][key]) for key in COMPARED}
+            name: {key: _interval(summaries.paired_bootstrap, rmse[DITR][key], rmse[name][key]) for key in COMPARED}
             for name in rmse
             if name != DITR
         },
-        "stage_one": {k: _interval(metrics.bootstrap_mean, [f.get(k) for f in found]) for k in STAGE_ONE + PER_CLASS},
+        "stage_one": {k: _interval(summaries.bootstrap_mean, [f.get(k) for f in found]) for k in STAGE_ONE + PER_CLASS},
         "kept": all(r["kept"] for r in results),
         "refused": {},
     }

@@ -10,7 +10,7 @@ import math
 import numpy as np
 import torch
 
-from . import boundary, conditioning, diffusion, metrics, region
+from . import audit, boundary, conditioning, diffusion, metrics, region
 from .audit import beaten_in, below_rel_floor, implied_weight, rank_orders
 from .costs import vit_flops
 from .data import SAMPLES, list_samples, load_sample
@@ -89,7 +89,7 @@ def bands() -> str:
 
 def impossible() -> str:
     """Tables I, II and V: rows with RMSE below MAE, and the order of columns that explains T5 best."""
-    found = {t.name: [f.row for f in metrics.audit_table(t.records())] for t in (T1, T2, T5)}
+    found = {t.name: [f.row for f in audit.audit_table(t.records())] for t in (T1, T2, T5)}
     best = rank_orders(T5, T1)[0]
     return (
         f"RMSE < MAE: {', '.join(found['T1'])} in T1, {', '.join(found['T2'])} in T2, {len(found['T5'])} of "

@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 
 from .baselines import harmonic
-from .data import Camera, Stereo
-from .loss_types import FACET_STEP, Cause, LossType, check_depth, check_mask, reproject
+from .camera import FACET_STEP, Camera, Stereo, reproject
+from .loss_types import Cause, LossType
+from .units import check_depth, check_mask
 
 # Chosen on the validation split.
 IN_FRONT = 0.05  # a reading this share nearer than what surrounds the region is taken for the object itself

@@ -7,39 +7,23 @@ these divide by the number of pixels that have ground truth.
 
 import numpy as np
 
-from .audit import audit_table
-from .loss_types import check_depth, check_mask
-from .summaries import (
-    METRICS,
-    SETS,
-    Scores,
-    average,
-    bootstrap_mean,
-    format_interval,
-    format_table,
-    paired_bootstrap,
-    ratio_bootstrap,
-)
+from .summaries import METRICS, SETS, Scores, average, format_table
+from .units import check_depth, check_mask
 
 __all__ = [
     "METRICS",
     "SETS",
     "Scores",
     "area_ratio",
-    "audit_table",
     "average",
-    "bootstrap_mean",
     "crps",
     "delta",
     "evaluate",
-    "format_interval",
     "format_table",
     "iou",
     "mae",
     "miss_rate",
-    "paired_bootstrap",
     "pixel_sets",
-    "ratio_bootstrap",
     "rel",
     "rmse",
 ]
@@ -216,7 +200,7 @@ def _scored(pred: np.ndarray, gt: np.ndarray, mask: np.ndarray | None) -> tuple[
     gt = np.asarray(gt)
     pred = _dense(pred, gt.shape)
     if not (np.isfinite(gt) & (gt >= 0)).all():
-        raise ValueError("gt has negative or non-finite values; call data.clean_depth first (0 means unknown)")
+        raise ValueError("gt has negative or non-finite values; call units.clean_depth first (0 means unknown)")
     chosen = gt > 0 if mask is None else (gt > 0) & check_mask("mask", mask, gt.shape)
     if not chosen.any():
         raise ValueError("no pixel to score: the ground truth is 0 (unknown) everywhere in the mask")

@@ -20,9 +20,8 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from PIL import Image
 
-from .camera import unproject
-from .data import Camera
-from .files import check_depth
+from .camera import Camera, unproject
+from .units import check_metres as check_depth
 
 OKABE_ITO = ("#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#000000")
 GREY = "#9E9E9E"  # no value

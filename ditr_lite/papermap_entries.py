@@ -137,7 +137,7 @@ camera.unproject | test_camera.py::test_a_scene_twice_as_large_and_as_far_gives_
 ambiguity of depth from one colour image
 
 F3 | done | 01_depth_loss_anatomy | 6 · Parallax: shadows that depth casts (Fig. 3)
-loss_types.reproject | test_loss_types.py::test_shadow_has_the_predicted_width
+camera.reproject | test_camera.py::test_shadow_has_the_predicted_width
 geometric loss by parallax
 
 F4 | done | 01_depth_loss_anatomy | 7 · The truth about every pixel (Fig. 4), and Eq. 1 and 2

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .data import OPAQUE, REFLECTIVE, TRANSPARENT, Camera, Sample
+from .camera import Camera
+from .data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample
 from .files import read_array, read_depth, read_labels, read_rgb
 from .readers import FrameFolder, beside, text
 

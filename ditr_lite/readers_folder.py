@@ -4,9 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .camera import read_intrinsics
 from .data import OPAQUE, TRANSPARENT, Sample
-from .files import read_depth, read_mask, read_rgb
+from .files import read_depth, read_intrinsics, read_mask, read_rgb
 from .readers import FrameFolder
 
 COLOUR, DEPTH, CAMERAS = (".png", ".jpg", ".jpeg"), (".png", ".npy", ".exr"), ("intrinsics.txt", "intrinsics.npy")

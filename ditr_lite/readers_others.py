@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .camera import read_intrinsics
-from .data import OPAQUE, REFLECTIVE, TRANSPARENT, Camera, Sample
-from .files import read_depth, read_mask, read_rgb
+from .camera import Camera
+from .data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample
+from .files import read_depth, read_intrinsics, read_mask, read_rgb
 from .readers import FrameFolder, described, red
 
 

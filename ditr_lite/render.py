@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from .data import Camera
+from .camera import Camera
 from .scenes import PRISMS, VESSELS, Scene, Thing, cross_section, outline
 from .sensor import dot_pattern
 from .textures import environment, texture

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from .data import REFLECTIVE, TRANSPARENT, Camera, Stereo
-from .loss_types import Cause, LossType, reproject
+from .camera import Camera, Stereo, reproject
+from .data import REFLECTIVE, TRANSPARENT
+from .loss_types import Cause, LossType
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from . import sensor, tof
-from .data import Camera, Stereo
+from .camera import Camera, Stereo
 from .render import PROJECTOR_DEG, load, render, truth
 from .scenes import Scene
 from .sensor import Matcher

@@ -16,7 +16,8 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from . import sensor, sensors
-from .data import OPAQUE, Camera, Sample, Stereo, read_meta, save_sample
+from .camera import Camera, Stereo
+from .data import OPAQUE, Sample, read_meta, save_sample
 from .loss_types import label
 from .render import load, mitsuba, render, truth
 from .scenes import Scene, Thing, random_scene

@@ -317,6 +317,10 @@ PARTITION = [
         ("wrong: 2 mm", "WRONG_ABS_M = 0.010", "WRONG_ABS_M = 0.002"),
         ("missing counts as wrong", "np.where(depth == 0, 2, wrong)", "np.where(depth == 0, 1, wrong)"),
         ("unknown truth labelled", "codes[depth_gt == 0]", "codes[depth_gt < 0]"),
+    ),
+    *family(
+        "labels and parallax",
+        "camera",
         ("shadow: sign", "(1 / z_near - 1 / z_far)", "(1 / z_far - 1 / z_near)"),
         ("shadow: focal length dropped", "return fx * baseline_m *", "return baseline_m *"),
         ("reprojection: farthest wins", "np.minimum.at(nearest", "np.maximum.at(nearest"),

@@ -7,8 +7,9 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from ditr_lite import camera, datasets, files
-from ditr_lite.data import REFLECTIVE, TRANSPARENT, Camera
+from ditr_lite import datasets, files
+from ditr_lite.camera import Camera
+from ditr_lite.data import REFLECTIVE, TRANSPARENT
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
 needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="no real frames beside the repository")
@@ -271,7 +272,7 @@ def test_real_cleargrasp_frames_are_as_documented(name, missing, region, missing
 def test_real_frames_of_other_cameras():
     folder = REAL / "lingbot" / "2"
     rgb, depth = files.read_rgb(folder / "rgb.png"), files.read_depth(folder / "raw_depth.png")
-    own = camera.read_intrinsics(folder / "intrinsics.txt", rgb.shape[:2])
+    own = files.read_intrinsics(folder / "intrinsics.txt", rgb.shape[:2])
     assert rgb.shape == (480, 640, 3) and depth.shape == (480, 640) and 0.1 < depth[depth > 0].min() < depth.max() < 2
     assert np.isclose(own.fx, 460.14, atol=0.01) and (own.width, own.height) == (640, 480)
     folder = REAL / "dsikar_d415"

@@ -13,7 +13,8 @@ from torch.utils.data import DataLoader
 
 from ditr_lite import datasets, exports, files
 from ditr_lite.__main__ import main
-from ditr_lite.data import Camera, Sample, list_samples, load_sample
+from ditr_lite.camera import Camera
+from ditr_lite.data import Sample, list_samples, load_sample
 
 SCENES = [load_sample(name) for name in list_samples("val")[:3]]
 STEP_M = {"cleargrasp": 1e-3, "trosd": 5.1e-4, "transcg": 5.1e-4, "folder": 5.1e-4}  # half floats, millimetres

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ditr_lite import live
-from ditr_lite.data import Camera
+from ditr_lite.camera import Camera
 
 UNITS = np.array([[400, 0, 65535], [800, 1200, 2000]], np.uint16)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ditr_lite import camera, cloud3d, datasets, pipeline
+from ditr_lite import cloud3d, datasets, files, pipeline
 from ditr_lite.config import preset
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
@@ -34,5 +34,5 @@ def test_real_frames_go_from_two_files_to_a_cloud(tmp_path):
         kept = (sample.depth > 0) & ~out.region
         assert np.isfinite(out.depth).all() and (out.depth > 0).all()
         assert np.array_equal(out.depth[kept], sample.depth[kept])
-        assert camera.write_ply(tmp_path / "c.ply", out.depth, sample.rgb, sample.camera) == out.depth.size
+        assert files.write_ply(tmp_path / "c.ply", out.depth, sample.rgb, sample.camera) == out.depth.size
         assert len(cloud3d.points_of(out.depth, sample.rgb, sample.camera, 1000)[0]) > 500

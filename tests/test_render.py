@@ -4,7 +4,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from ditr_lite.data import OPAQUE, Camera
+from ditr_lite.camera import Camera
+from ditr_lite.data import OPAQUE
 from ditr_lite.render import load, mitsuba, render, triangles, truth
 from ditr_lite.scenes import PRISMS, VESSELS, Scene, Thing, look_at, random_scene
 

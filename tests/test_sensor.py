@@ -2,7 +2,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT, Camera, Stereo
+from ditr_lite.camera import Camera, Stereo
+from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT
 from ditr_lite.loss_types import Cause, LossType
 from ditr_lite.sensor import (
     Matcher,

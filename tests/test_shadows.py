@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import ditr_lite as dl
-from ditr_lite.data import Camera
+from ditr_lite.camera import Camera
 from ditr_lite.shadows import Shadows, measure_scenes, measure_shadows
 
 CAMERA = Camera(200.0, 200.0, 99.5, 31.5, 200, 64)

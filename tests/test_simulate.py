@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from ditr_lite import simulate as simulator
+from ditr_lite.camera import shadow_width_px
 from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample, read_sample, save_sample
-from ditr_lite.loss_types import Cause, LossType, label, shadow_width_px
+from ditr_lite.loss_types import Cause, LossType, label
 from ditr_lite.scenes import Scene, Thing, look_at
 from ditr_lite.sensor import Matcher
 from ditr_lite.simulate import simulate, simulate_many

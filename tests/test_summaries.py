@@ -61,22 +61,24 @@ def test_average_leaves_out_images_without_such_pixels():
 
 def test_bootstrap_interval_is_that_of_the_mean():
     values = np.random.default_rng(1).normal(5.0, 2.0, 400)
-    mean, low, high = M.bootstrap_mean(values)
+    mean, low, high = summaries.bootstrap_mean(values)
     assert mean == pytest.approx(values.mean())
     expected = 1.96 * values.std() / math.sqrt(len(values))
     assert (high - mean, mean - low) == (pytest.approx(expected, rel=0.1), pytest.approx(expected, rel=0.1))
-    assert M.bootstrap_mean(values) == M.bootstrap_mean(values) != M.bootstrap_mean(values, seed=1)
+    assert (
+        summaries.bootstrap_mean(values) == summaries.bootstrap_mean(values) != summaries.bootstrap_mean(values, seed=1)
+    )
 
 
 def test_paired_bootstrap_keeps_pairs_together():
     hard = np.random.default_rng(2).normal(5.0, 2.0, 50)
-    mean, low, high = M.paired_bootstrap(hard + 0.1, hard)
+    mean, low, high = summaries.paired_bootstrap(hard + 0.1, hard)
     assert (mean, low, high) == pytest.approx((0.1, 0.1, 0.1))  # unpaired, the interval would be about 1.6 wide
-    assert M.paired_bootstrap([1.0, None, 3.0], [0.5, 9.0, None])[0] == 0.5
+    assert summaries.paired_bootstrap([1.0, None, 3.0], [0.5, 9.0, None])[0] == 0.5
     with pytest.raises(ValueError, match="same images"):
-        M.paired_bootstrap([1.0], [1.0, 2.0])
+        summaries.paired_bootstrap([1.0], [1.0, 2.0])
     with pytest.raises(ValueError, match="finite"):
-        M.bootstrap_mean([None])
+        summaries.bootstrap_mean([None])
 
 
 # table

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ditr_lite import tof
-from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT, Camera
+from ditr_lite.camera import Camera
+from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT
 from ditr_lite.scenes import Scene, Thing, look_at
 
 MATT = {"type": "matt", "texture": "noise", "texture_seed": 1, "roughness": 0.1, "infrared": 0.6}

@@ -13,7 +13,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from ditr_lite import camera, panels, viz
-from ditr_lite.data import Camera, Sample
+from ditr_lite.camera import Camera
+from ditr_lite.data import Sample
 
 SHAPE = (24, 32)
 
