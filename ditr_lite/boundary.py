@@ -18,6 +18,7 @@ import numpy as np
 from skimage.segmentation import find_boundaries
 
 from .boundary_classical import ClassicalBoundary, is_depth
+from .data import Sample
 
 __all__ = [
     "BACKENDS",
@@ -30,6 +31,7 @@ __all__ = [
     "depth_boundaries",
     "get_backend",
     "precision_recall_f",
+    "true_maps",
     "within",
 ]
 
@@ -246,3 +248,14 @@ def _check_pair(a: np.ndarray, b: np.ndarray, tolerance: float) -> None:
         raise ValueError(f"expected two (H, W) bool maps of one size, got {a.shape} {a.dtype} and {b.shape} {b.dtype}")
     if tolerance < 0:
         raise ValueError(f"expected a tolerance >= 0 pixels, got {tolerance}")
+
+
+def true_maps(sample: Sample) -> tuple[np.ndarray, np.ndarray]:
+    """Return the truth for M_RGB and the truth for M_DA, each (H, W) bool.
+
+    Raises:
+        ValueError: for a frame without instances or true depth.
+    """
+    if sample.instances is None or sample.depth_gt is None:
+        raise ValueError(f"{sample.name} has no instances or no true depth: boundaries need rendered scenes")
+    return boundaries_from_labels(sample.instances), depth_boundaries(sample.instances, sample.depth_gt)

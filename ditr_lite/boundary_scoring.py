@@ -15,9 +15,9 @@ from .boundary import (
     Backend,
     boundaries_from_labels,
     boundary_maps,
-    depth_boundaries,
     get_backend,
     precision_recall_f,
+    true_maps,
 )
 from .data import TRANSPARENT, Sample
 from .store import WEIGHTS, sha256
@@ -26,17 +26,6 @@ from .summaries import bootstrap_mean, paired_bootstrap
 CANNY = {"sigma": (0.0, 1.0, 1.5, 2.0, 3.0), "high": (30, 60, 90, 120, 180, 250, 350), "ratio": (0.3, 0.5, 0.8)}
 MAPS = ("m_rgb", "m_d", "m_da")
 COLUMNS = ("precision", "recall", "f", "glass_recall")
-
-
-def true_maps(sample: Sample) -> tuple[np.ndarray, np.ndarray]:
-    """Return the truth for M_RGB and the truth for M_DA, each (H, W) bool.
-
-    Raises:
-        ValueError: for a frame without instances or true depth.
-    """
-    if sample.instances is None or sample.depth_gt is None:
-        raise ValueError(f"{sample.name} has no instances or no true depth: boundaries need rendered scenes")
-    return boundaries_from_labels(sample.instances), depth_boundaries(sample.instances, sample.depth_gt)
 
 
 def canny(rgb: np.ndarray, sigma: float, high: float, ratio: float) -> np.ndarray:

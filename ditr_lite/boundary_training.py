@@ -11,9 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from .boundary import precision_recall_f
+from .boundary import precision_recall_f, true_maps
 from .boundary_learned import begin_with_stage_one, build, depth_image, thin
-from .boundary_scoring import true_maps
 from .config import from_dict, preset
 from .data import read_sample
 from .scenedata import Scenes, checksum, draw, load_scenes

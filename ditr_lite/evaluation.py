@@ -15,18 +15,18 @@ from tqdm.auto import tqdm
 
 from . import metrics, summaries
 from .baselines import REGISTRY, Fill, compose
-from .conditioning import fit
 from .data import Sample
 from .pipeline import Completion, Ditr
 from .protocols import Protocol
-from .region_scores import PER_CLASS, class_map, class_scores
+from .stage_one import PER_CLASS, STAGE_ONE, stage_one
 from .store import read_card
 from .summaries import format_interval
 from .units import clean_depth
 
 DITR, SENSOR = RESERVED = "ditr", "sensor"  # rows that are not methods
 COMPARED = ("optical", "optical_valid", "geometric")  # where differences get an interval
-STAGE_ONE = ("iou", "miss_rate", "area_ratio")  # of every frame; PER_CLASS where the materials are known
+
+
 Result = dict[str, Any]  # of one frame, ready for JSON
 
 
@@ -113,22 +113,6 @@ def score_sensor(sample: Sample) -> dict[str, metrics.Scores | None] | None:
         return None
     truth = np.where(read, sample.depth_gt, 0).astype(np.float32)  # where nothing was read, no truth: not scored
     return metrics.evaluate(np.where(read, sample.depth, 1).astype(np.float32), truth, sample.region, sample.depth)
-
-
-def stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | None] | None:
-    """Return how well the region was found; None when it was given or is not known."""
-    if out.probability is None or sample.region is None:
-        return None
-    frame = fit(sample.depth.shape, ditr.config.size)
-    refined = frame.back(ditr.refine(frame.into(sample.region)) & frame.picture)
-    scores = {
-        "iou": metrics.iou(out.probability > 0.5, sample.region),
-        "miss_rate": metrics.miss_rate(out.region, sample.region),
-        "area_ratio": metrics.area_ratio(out.region, refined),
-    }
-    if sample.material is not None:
-        scores |= class_scores(class_map(ditr, sample.rgb, sample.depth), sample.material)
-    return scores
 
 
 def kept_bit_for_bit(out: Completion, depth: np.ndarray) -> bool:

@@ -21,7 +21,7 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from .camera import Camera, unproject
-from .units import check_metres as check_depth
+from .units import check_metres
 
 OKABE_ITO = ("#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#000000")
 GREY = "#9E9E9E"  # no value
@@ -60,7 +60,7 @@ class Picture(Figure):
 
 def depth_limits(*maps: np.ndarray) -> tuple[float, float]:
     """Return the 2nd and 98th percentile, in metres, of the valid pixels of all ``maps``."""
-    valid = np.concatenate([m[m > 0].ravel() for m in map(check_depth, maps)])
+    valid = np.concatenate([m[m > 0].ravel() for m in map(check_metres, maps)])
     low, high = np.percentile(valid, [2, 98]) if valid.size else (0.0, 1.0)
     return float(low), float(max(high, low + 1e-3))
 
@@ -70,7 +70,7 @@ def depth(
 ) -> AxesImage:
     """Draw a depth map (H, W), metres, 0 = missing, between ``limits`` (its own percentiles by default)."""
     low, high = limits or depth_limits(depth_m)
-    valid = check_depth(depth_m) > 0
+    valid = check_metres(depth_m) > 0
     return _map(ax, "depth", depth_m, valid, (low, high), title, "missing", bar)
 
 
@@ -101,7 +101,7 @@ signed_error = partial(error, signed=True)
 
 def spread(ax: Axes, std_m: np.ndarray, limit_mm: float | None = None, title: str = "", bar: bool = True) -> AxesImage:
     """Draw the spread over samples or the error to expect, given in metres, in millimetres."""
-    std_mm = check_depth(std_m) * 1000.0
+    std_mm = check_metres(std_m) * 1000.0
     limit = limit_mm or max(float(np.percentile(std_mm, 98)), 1.0)
     return _map(ax, "spread", std_mm, np.ones(std_mm.shape, bool), (0, limit), title, "", bar)
 
@@ -226,7 +226,7 @@ def add_bar(figure: Figure, drawn: AxesImage, ax: Axes, kind: str, inside: bool 
 
 def difference_mm(depth_m: np.ndarray, depth_gt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return depth - ground truth in millimetres, and where both are known."""
-    depth_m, depth_gt = check_depth(depth_m), check_depth(depth_gt)
+    depth_m, depth_gt = check_metres(depth_m), check_metres(depth_gt)
     if depth_m.shape != depth_gt.shape:
         raise ValueError(f"depth is {depth_m.shape}, its ground truth {depth_gt.shape}: they should be alike")
     return (depth_m - depth_gt) * 1000.0, (depth_m > 0) & (depth_gt > 0)

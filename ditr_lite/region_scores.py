@@ -9,57 +9,14 @@ from typing import Any
 
 import cv2
 import numpy as np
-import torch
 
 from . import metrics
-from .conditioning import depth_bounds, depth_tensors, fit, to_tensor
+from .conditioning import fit
 from .config import RefineConfig
-from .data import REFLECTIVE, TRANSPARENT, Sample
+from .data import Sample
 from .pipeline import Ditr
 from .region import refine_region
-
-CLASSES = {"transparent": TRANSPARENT, "reflective": REFLECTIVE}
-PER_CLASS = tuple(f"{figure}_{name}" for figure in ("iou", "recall") for name in CLASSES)
-
-
-@torch.no_grad()
-def class_map(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Return (H, W) uint8: 0 where no region is found, before refinement; else the likelier of the two classes.
-
-    Args:
-        ditr: whose stage one is asked.
-        rgb: (H, W, 3) uint8.
-        depth: (H, W) float32 metres, raw.
-    """
-    frame, bounds = fit(depth.shape, ditr.config.size), depth_bounds(depth)
-    small = frame.into(depth)
-    inputs = [t.to(ditr.device) for t in (to_tensor(frame.into(rgb)[None]), *depth_tensors(small, bounds))]
-    p = ditr.parts["region"](*inputs)["logits"].softmax(dim=1)[0].cpu().numpy()  # (3, h, w)
-    found = np.where(p[1:].sum(0) > 0.5, 1 + p[1:].argmax(0), 0)
-    return sum(np.uint8(code) * frame.back(found == code) for code in CLASSES.values())
-
-
-def class_scores(found: np.ndarray, material: np.ndarray) -> dict[str, float | None]:
-    """Return IoU and recall of each class.
-
-    ``iou_*`` asks for the very class; ``recall_*`` is the share of its pixels found as *either*: the pipeline merges
-    them, so a mirror called glass costs nothing. None where the class does not occur.
-
-    Args:
-        found: (H, W) codes as :func:`class_map` returns.
-        material: (H, W) true codes.
-
-    Raises:
-        ValueError: for maps of different shapes.
-    """
-    if found.shape != material.shape:
-        raise ValueError(f"found is {found.shape}, material {material.shape}: they should be alike")
-    scores = dict.fromkeys(PER_CLASS)
-    for name, code in CLASSES.items():
-        if (material == code).any():
-            scores[f"iou_{name}"] = metrics.iou(found == code, material == code)
-            scores[f"recall_{name}"] = 1 - metrics.miss_rate(found > 0, material == code)
-    return scores
+from .stage_one import class_map, mask_errors
 
 
 def offset_region(region: np.ndarray, pixels: int) -> np.ndarray:
@@ -119,11 +76,6 @@ def refinement_costs(ditr: Ditr, sample: Sample, settings: Iterable[RefineConfig
         depth = ditr(sample.rgb, sample.depth, region, samples=1).depth
         rows.append({**mask_errors(region, sample.region), **_final(depth, sample)})
     return rows
-
-
-def mask_errors(region: np.ndarray, true: np.ndarray) -> dict[str, float | None]:
-    """Return the share of the true region that is missed, and the area in true regions."""
-    return {"miss_rate": metrics.miss_rate(region, true), "area_ratio": metrics.area_ratio(region, true)}
 
 
 def _final(depth: np.ndarray, sample: Sample) -> dict[str, float | None]:

@@ -393,6 +393,10 @@ REGION = [
         ("missed: false alarms", "known & sample.region & ~region\n", "known & ~sample.region & region\n"),
         ("discarded: holes too", "~sample.region & (sample.depth > 0)", "~sample.region"),
         ("price: sign", "(error - base)[pixels]", "(base - error)[pixels]"),
+    ),
+    *family(
+        "prices of mistakes",
+        "stage_one",
         ("recall: by name", "metrics.miss_rate(found > 0,", "metrics.miss_rate(found == code,"),
     ),
 ]

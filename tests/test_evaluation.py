@@ -5,7 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ditr_lite import baselines, datasets, evaluation, latency, metrics, pipeline, region_scores, store
+from ditr_lite import (
+    baselines,
+    datasets,
+    evaluation,
+    latency,
+    metrics,
+    pipeline,
+    stage_one,
+    store,
+)
 from ditr_lite.config import preset
 from ditr_lite.data import Sample
 from ditr_lite.evaluation import format_report, run_methods, summary, to_json
@@ -114,9 +123,9 @@ def test_classes_are_scored_where_materials_are_known(tiny):
     sample = make_sample()
     glass = replace(sample, material=sample.region.astype(np.uint8))
     results = run_methods([sample, glass], tiny, {}, steps=1, samples_per_frame=1, progress=False)
-    assert set(results[0]["stage_one"]) == set(evaluation.STAGE_ONE)
-    found = region_scores.class_map(tiny, glass.rgb, glass.depth)
-    scores = region_scores.class_scores(found, glass.material)
+    assert set(results[0]["stage_one"]) == set(stage_one.STAGE_ONE)
+    found = stage_one.class_map(tiny, glass.rgb, glass.depth)
+    scores = stage_one.class_scores(found, glass.material)
     assert {k: results[1]["stage_one"][k] for k in scores} == scores
     report = summary(results)
     assert report["stage_one"]["recall_transparent"] == [scores["recall_transparent"]] * 3

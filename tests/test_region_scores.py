@@ -4,25 +4,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ditr_lite import baselines, pipeline, region_scores
+from ditr_lite import baselines, region_scores
 from ditr_lite.config import RefineConfig, preset
 from ditr_lite.data import Sample
-from ditr_lite.region_scores import (
-    PER_CLASS,
-    class_map,
-    class_scores,
-    mask_errors,
-    offset_region,
-    refinement_costs,
-    region_costs,
-)
+from ditr_lite.region_scores import offset_region, refinement_costs, region_costs
 
 SHAPE = (64, 96)
-
-
-@pytest.fixture(scope="module")
-def tiny():
-    return pipeline.Ditr(pipeline.build(preset("tiny")), preset("tiny"))
 
 
 def frame():
@@ -43,37 +30,6 @@ class Painter:
     def __call__(self, rgb, depth, region, samples):
         assert samples == 1
         return SimpleNamespace(depth=baselines.compose(np.full(SHAPE, 0.62, np.float32), depth, region))
-
-
-def test_class_map_merges_to_the_region_that_the_pipeline_finds(tiny):
-    sample = frame()
-    found = class_map(tiny, sample.rgb, sample.depth)
-    assert found.shape == SHAPE and found.dtype == np.uint8 and set(np.unique(found)) <= {0, 1, 2}
-    out = tiny(sample.rgb, sample.depth, steps=1, samples=1)
-    np.testing.assert_array_equal(found > 0, out.probability > 0.5)
-
-
-def test_class_map_comes_back_to_the_size_of_the_frame(tiny):
-    rng = np.random.default_rng(0)
-    rgb = rng.integers(0, 255, (50, 120, 3), np.uint8)
-    assert class_map(tiny, rgb, rng.uniform(0.4, 0.9, (50, 120)).astype(np.float32)).shape == (50, 120)
-
-
-def test_class_scores_of_a_frame_that_can_be_counted():
-    material = np.zeros((4, 10), np.uint8)
-    material[0], material[1] = 1, 2
-    found = np.zeros_like(material)
-    found[0, :6], found[0, 6:8], found[1, :5], found[2, 0] = 1, 2, 2, 1
-    scores = class_scores(found, material)
-    assert scores["iou_transparent"] == pytest.approx(6 / 11)  # one false alarm
-    assert scores["iou_reflective"] == pytest.approx(5 / 12)  # two pixels of glass are called mirrors
-    assert scores["recall_transparent"] == pytest.approx(0.8)  # which costs their recall nothing
-    assert scores["recall_reflective"] == pytest.approx(0.5)
-    assert tuple(scores) == PER_CLASS
-    only_glass = class_scores(found, np.where(material == 1, material, 0))
-    assert only_glass["iou_reflective"] is None and only_glass["recall_reflective"] is None
-    with pytest.raises(ValueError, match="should be alike"):
-        class_scores(found, material.T)
 
 
 @pytest.mark.parametrize("pixels, side", [(-2, 6), (-1, 8), (0, 10), (1, 12), (3, 16), (-5, 0)])
@@ -116,9 +72,3 @@ def test_refinements_are_compared_on_what_stage_one_finds(monkeypatch):
     assert exact["miss_rate"] < 0.03 and paper["miss_rate"] == 0 and paper["area_ratio"] > 1.3
     assert none["optical_m"] > exact["optical_m"] > 0 and paper["optical_m"] == pytest.approx(0.02, abs=1e-6)
     assert paper["whole_m"] > 0
-
-
-def test_mask_errors():
-    true = frame().region
-    assert mask_errors(true, true) == {"miss_rate": 0.0, "area_ratio": 1.0}
-    assert mask_errors(~true, true)["miss_rate"] == 1.0

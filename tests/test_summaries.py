@@ -20,15 +20,6 @@ def scores(rmse: float, n: int, **sets) -> dict:
     return dict.fromkeys(M.SETS) | {"whole": whole} | sets
 
 
-def test_metrics_offers_them_too():
-    names = [
-        n for n, v in vars(summaries).items() if getattr(v, "__module__", "") == summaries.__name__ and n[0] != "_"
-    ]
-    tables = ["format_interval", "format_table"]
-    assert sorted(names) == ["average", "bootstrap_mean", *tables, "paired_bootstrap", "ratio_bootstrap"]
-    assert all(getattr(M, name) is getattr(summaries, name) for name in [*names, "SETS", "METRICS", "Scores"])
-
-
 # averages and intervals
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from tqdm.auto import tqdm
 
 import ditr_lite as dl
-from ditr_lite import finetune, region_scores, summaries
+from ditr_lite import finetune, region_scores, stage_one, summaries
 from ditr_lite.config import RefineConfig
 from ditr_lite.files import write_json
 from ditr_lite.scenedata import load_scenes
@@ -80,7 +80,7 @@ def measure(ditr, samples) -> dict[str, list]:
         out = ditr(s.rgb, s.depth, samples=1)
         scores = dl.metrics.evaluate(out.depth, s.depth_gt, s.region, s.depth)
         row = {f"{k}_m": scores[k] and scores[k]["rmse"] for k in ("optical", "whole")}
-        row |= region_scores.mask_errors(out.region, s.region)
+        row |= stage_one.mask_errors(out.region, s.region)
         row["iou"] = dl.metrics.iou(out.probability > 0.5, s.region)
         for key, value in row.items():
             values[key].append(_round(value))
