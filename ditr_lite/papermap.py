@@ -8,8 +8,8 @@ writes it as a page, PAPER_MAP.md, and ``tests/test_papermap.py`` fails on a dea
 import ast
 import json
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 
 from .papermap_entries import ENTRIES
 
@@ -79,17 +79,11 @@ def problems(entry: Entry, root: Path) -> list[str]:
 
 
 def has_function(dotted: str) -> bool:
-    """Return whether ``module.name`` of the package can be imported and is callable."""
-    module, _, names = dotted.partition(".")
-    if not names:
-        return False
+    """Return whether ``module.name`` of the package (``room.module.name``) can be imported and is callable."""
     try:
-        value = import_module(f"ditr_lite.{module}")
-        for name in names.split("."):
-            value = getattr(value, name)
-    except (ImportError, AttributeError):
+        return callable(resolve_name(f"ditr_lite.{dotted}"))
+    except (ImportError, AttributeError, ValueError):
         return False
-    return callable(value)
 
 
 def has_test(folder: Path, test: str) -> bool:

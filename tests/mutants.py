@@ -35,7 +35,8 @@ class Mutant(NamedTuple):
     @property
     def tests(self) -> str:
         """The test file that must notice."""
-        return f"tests/test_{self.file}.py"
+        room, _, leaf = self.file.rpartition("/")
+        return str(Path("tests", room, f"test_{leaf}.py"))
 
 
 def family(formula: str, file: str, *rows: tuple[str, str, str]) -> list[Mutant]:
@@ -443,8 +444,8 @@ def run_tests(mutant: Mutant | None, tests: Sequence[str]) -> tuple[int, str, fl
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
         shutil.copytree(ROOT / "ditr_lite", copy / "ditr_lite", ignore=shutil.ignore_patterns("weights", "__pycache__"))
-        (copy / "tests").mkdir()
         for test in tests:
+            (copy / test).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / test, copy / test)
         if mutant is not None:
             target = copy / "ditr_lite" / f"{mutant.file}.py"
@@ -456,6 +457,7 @@ def run_tests(mutant: Mutant | None, tests: Sequence[str]) -> tuple[int, str, fl
             "no:cacheprovider",
             "-p",
             "no:nbval",
+            "--import-mode=importlib",
             "--rootdir",
             folder,
             "-k",

@@ -257,5 +257,5 @@ def test_what_cannot_be_drawn_is_refused(ax, sample):
 def test_no_other_module_draws():
     package = Path(viz.__file__).parent
     imports = re.compile(r"^\s*(import|from) matplotlib", re.MULTILINE)
-    drawing = {p.stem for p in package.glob("*.py") if imports.search(p.read_text(encoding="utf-8"))}
+    drawing = {p.stem for p in package.rglob("*.py") if imports.search(p.read_text(encoding="utf-8"))}
     assert drawing == {"ablation_plots", "panels", "viz"}
