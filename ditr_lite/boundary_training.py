@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from .boundary import precision_recall_f, true_maps
-from .boundary_learned import begin_with_stage_one, build, depth_image, thin
+from .boundary.learned import begin_with_stage_one, build, depth_image, thin
 from .config import from_dict, preset
 from .data import read_sample
 from .scenedata import Scenes, checksum, draw, load_scenes

@@ -57,7 +57,7 @@ autoencoder.VQAutoencoder | test_autoencoder.py::test_shapes_and_latents_before_
 L = Enc(D_in), D_out = Dec(L)
 
 I4 | done | 05_boundary_maps | 2 · Read the formula: it is an intersection
-boundary.depth_aware | test_boundary.py::test_the_printed_formula_is_an_intersection
+boundary.depth_aware | boundary/test_maps.py::test_the_printed_formula_is_an_intersection
 M_DA = M_RGB \\ ∁_U M_D, which is an intersection
 
 S1 | done | 02_region_refinement | 3 · Decode, with a judge at every level

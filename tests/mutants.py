@@ -404,7 +404,7 @@ REGION = [
 
 BOUNDARY = family(
     "depth-aware map (I4)",
-    "boundary",
+    "boundary/maps",
     ("as printed: no tolerance", "boundary_rgb & within(boundary_depth, tolerance)", "boundary_rgb & boundary_depth"),
     ("the other map is grown", "boundary_rgb & within(boundary_depth,", "boundary_depth & within(boundary_rgb,"),
     ("union for intersection", "return boundary_rgb & within(", "return boundary_rgb | within("),

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from ditr_lite import boundary_learned, boundary_scoring, boundary_training, pipeline, store
+from ditr_lite import boundary_scoring, boundary_training, pipeline, store
 from ditr_lite.__main__ import main
+from ditr_lite.boundary import learned
 from ditr_lite.config import override, preset
 from ditr_lite.data import SAMPLES, list_samples
 
@@ -25,7 +26,7 @@ def weights(tmp_path_factory):
     torch.manual_seed(0)
     parts = pipeline.build(config)
     store.save_part("autoencoder", parts["autoencoder"].state_dict(), config, folder, {})
-    state = boundary_learned.build().state_dict() | {"thresholds": torch.tensor([0.3, 0.3])}
+    state = learned.build().state_dict() | {"thresholds": torch.tensor([0.3, 0.3])}
     store.save_part("boundary", state, config, folder, {})
     return folder
 

@@ -6,7 +6,7 @@ import torch
 
 from ditr_lite import boundary_scoring, store
 from ditr_lite.boundary import ExactBoundary, boundaries_from_labels, depth_boundaries, get_backend, true_maps
-from ditr_lite.boundary_learned import build
+from ditr_lite.boundary.learned import build
 from ditr_lite.boundary_scoring import bench, canny, format_table, score_backends, summarise, tune_canny
 from ditr_lite.config import preset
 from ditr_lite.data import TRANSPARENT, Sample, list_samples, load_sample

@@ -4,7 +4,7 @@ import torch
 
 from ditr_lite import boundary_training, store
 from ditr_lite.boundary import get_backend, true_maps
-from ditr_lite.boundary_learned import LearnedBoundary, build
+from ditr_lite.boundary.learned import LearnedBoundary, build
 from ditr_lite.boundary_training import best_threshold, boundary_step, probabilities, train_boundary, with_outlines
 from ditr_lite.config import override, preset
 from ditr_lite.data import SAMPLES, read_sample

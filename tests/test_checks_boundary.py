@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from ditr_lite import boundary, boundary_sam
+from ditr_lite import boundary
 from ditr_lite import checks_boundary as checks
+from ditr_lite.boundary import sam
 
 
 def shifts(array, **pad):
@@ -64,8 +65,8 @@ SOLVED = [
     (checks.check_outline, outline, boundary.boundaries_from_labels),
     (checks.check_depth_aware, keep_confirmed, boundary.depth_aware),
     (checks.check_scores, scores, boundary.precision_recall_f),
-    (checks.check_suppress, nms, boundary_sam.suppress),
-    (checks.check_mask_outlines, draw, boundary_sam.outlines),
+    (checks.check_suppress, nms, sam.suppress),
+    (checks.check_mask_outlines, draw, sam.outlines),
     (checks.check_jumps, jumps, boundary.depth_boundaries),
 ]
 

@@ -13,10 +13,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .boundary_classical import drop_small, is_depth
-from .conditioning import depth_bounds, to_tensor
-from .region import Encoder
-from .store import fingerprint, load_part
+from ..conditioning import depth_bounds, to_tensor
+from ..region import Encoder
+from ..store import fingerprint, load_part
+from .classical import drop_small, is_depth
 
 MODES = {"rgb": 3, "depth": 3}  # input channels
 WIDTH, LEVELS = 16, 4

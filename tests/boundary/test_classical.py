@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from ditr_lite.boundary import boundaries_from_labels, precision_recall_f
-from ditr_lite.boundary_classical import ClassicalBoundary, drop_small, is_depth, spread_readings
+from ditr_lite.boundary.classical import ClassicalBoundary, drop_small, is_depth, spread_readings
 
 
 def plane(height=60, width=80, near=0.6, far=0.9) -> np.ndarray:

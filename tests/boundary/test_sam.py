@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from transformers import SamConfig, SamModel
 
-from ditr_lite import boundary_sam
-from ditr_lite.boundary import boundaries_from_labels, get_backend
-from ditr_lite.boundary_sam import SamBoundary, depth_picture, load, outlines, point_grid, stability, suppress
+from ditr_lite.boundary import boundaries_from_labels, get_backend, sam
+from ditr_lite.boundary.sam import SamBoundary, depth_picture, load, outlines, point_grid, stability, suppress
 from ditr_lite.pipeline import Ditr
 
 MASKS = st.integers(0, 5).flatmap(lambda n: arrays(bool, (n, 6, 7)))
@@ -70,7 +69,7 @@ def test_a_checkpoint_on_disk_becomes_a_backend_for_colour_and_depth(checkpoint)
 def test_the_networks_masks_are_those_of_the_library_enlarged(checkpoint):
     backend = SamBoundary(load(checkpoint).model, points=3, min_score=-9, min_stability=0, max_overlap=1, batch=4)
     image = picture(64, 64)  # as large as the network's input, so nothing is scaled before it
-    pixels = (image.astype(np.float32) - np.float32(boundary_sam.MEAN)) / np.float32(boundary_sam.STD)
+    pixels = (image.astype(np.float32) - np.float32(sam.MEAN)) / np.float32(sam.STD)
     points = torch.from_numpy(point_grid(3)) * 64
     with torch.no_grad():
         out = backend.model(
@@ -235,7 +234,7 @@ def test_an_incomplete_checkpoint_is_refused(checkpoint, tmp_path):
 
 
 def test_without_transformers_the_message_says_what_to_install(checkpoint, monkeypatch):
-    monkeypatch.setattr(boundary_sam.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(sam.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r"pip install -e '\.\[sam\]'"):
         load(checkpoint)
 

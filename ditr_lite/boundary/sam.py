@@ -16,9 +16,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .boundary_classical import is_depth, spread_readings
-from .conditioning import depth_bounds
-from .store import fingerprint
+from ..conditioning import depth_bounds
+from ..store import fingerprint
+from .classical import is_depth, spread_readings
 
 CHECKPOINT = Path("outputs/sam")  # where a checkpoint is looked for when no path is given
 MEAN, STD = (123.675, 116.28, 103.53), (58.395, 57.12, 57.375)  # of SAM's training images, 0 to 255

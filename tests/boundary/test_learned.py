@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from ditr_lite import store
 from ditr_lite.boundary import get_backend, precision_recall_f
-from ditr_lite.boundary_learned import (
+from ditr_lite.boundary.learned import (
     MODES,
     BoundaryNet,
     LearnedBoundary,

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 from skimage.segmentation import find_boundaries
 
-from .boundary_classical import ClassicalBoundary, is_depth
-from .data import Sample
+from ..data import Sample
+from .classical import ClassicalBoundary, is_depth
 
 __all__ = [
     "BACKENDS",
@@ -133,7 +133,7 @@ def _refuse_path(name: str, path: Path | str | None) -> None:
 
 def _load_module(name: str) -> Callable[[Path | str | None], Backend]:
     # imported on first use: neither torch nor transformers is needed by those who do not ask for them
-    return lambda path=None: import_module(f"{__package__}.boundary_{name}").load(path)
+    return lambda path=None: import_module(f"{__package__}.{name}").load(path)
 
 
 # name -> loader(path or None). A loader, not an object: weights are read only by those who ask for them.
