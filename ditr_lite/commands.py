@@ -110,8 +110,8 @@ def simulate(args: Namespace) -> None:
 
 def export(args: Namespace) -> None:
     """Write existing scenes in the layout of a real dataset."""
-    from . import exports
     from .data import list_samples, load_sample
+    from .datasets import export as exports
 
     name, folder = args.export_as
     split = args.split or "val"

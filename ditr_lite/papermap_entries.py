@@ -165,15 +165,15 @@ viz.grid | test_viz.py::test_compare_draws_every_prediction_and_its_error
 qualitative results beside other methods (ClearGrasp)
 
 F10 | done | 09_your_own_camera | 9 · The public datasets, without a download
-datasets.TODD | test_exports.py::test_a_round_trip_keeps_all_that_the_format_holds
+datasets.TODD | datasets/test_export.py::test_a_round_trip_keeps_all_that_the_format_holds
 qualitative results (TODD); without a download, our frames in its layout
 
 F11 | done | 09_your_own_camera | 9 · The public datasets, without a download
-datasets.STD | test_exports.py::test_a_round_trip_keeps_all_that_the_format_holds
+datasets.STD | datasets/test_export.py::test_a_round_trip_keeps_all_that_the_format_holds
 qualitative results (STD); likewise
 
 F12 | done | 09_your_own_camera | 10 · Four cameras, one scene
-datasets.TROSD | test_datasets.py::test_every_reader
+datasets.TROSD | datasets/test_datasets.py::test_every_reader
 generalisation on TROSD; our scenes under four simulated cameras
 
 F13 | done | 08_ablations | The worst ten

@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from torch.utils.data import DataLoader
 
-from ditr_lite import datasets, exports, files
+from ditr_lite import datasets, files
 from ditr_lite.__main__ import main
 from ditr_lite.camera import Camera
 from ditr_lite.data import Sample, list_samples, load_sample
+from ditr_lite.datasets import export
 
 SCENES = [load_sample(name) for name in list_samples("val")[:3]]
 STEP_M = {"cleargrasp": 1e-3, "trosd": 5.1e-4, "transcg": 5.1e-4, "folder": 5.1e-4}  # half floats, millimetres
@@ -34,13 +35,13 @@ THEIRS = {  # dataset -> the split that our val split becomes, files that one fr
 
 
 def test_every_reader_has_a_writer_and_a_case():
-    assert set(exports.WRITERS) == set(datasets.REGISTRY) == set(THEIRS)
+    assert set(export.WRITERS) == set(datasets.REGISTRY) == set(THEIRS)
 
 
 @pytest.fixture(scope="module", params=THEIRS)
 def exported(request, tmp_path_factory):
     root = tmp_path_factory.mktemp(request.param) / "new"
-    return request.param, exports.export(request.param, root, SCENES, "val")
+    return request.param, export.export(request.param, root, SCENES, "val")
 
 
 def test_the_layout_is_the_datasets_own(exported):
@@ -121,7 +122,7 @@ def test_the_command_writes_what_evaluate_reads(tmp_path, capsys):
 def test_a_frame_without_truth_cannot_be_exported(tmp_path):
     bare = Sample("x", np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32))
     with pytest.raises(ValueError, match="x lacks ground truth"):
-        exports.export("std", tmp_path / "new", [bare])
+        export.export("std", tmp_path / "new", [bare])
 
 
 @pytest.mark.parametrize("exists", [False, True])
@@ -130,9 +131,9 @@ def test_a_failed_export_leaves_nothing_and_can_be_repeated(tmp_path, exists):
     if exists:
         root.mkdir()
     with pytest.raises(ValueError, match="x lacks ground truth"):
-        exports.export("todd", root, [SCENES[0], bare])
+        export.export("todd", root, [SCENES[0], bare])
     assert [p for p in tmp_path.rglob("*") if p != root] == [] and root.exists() == exists
-    assert len(datasets.TODD(exports.export("todd", root, SCENES[:1]))) == 1
+    assert len(datasets.TODD(export.export("todd", root, SCENES[:1]))) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["new"]
 
 
@@ -146,7 +147,7 @@ def test_any_depth_and_any_mask_survive(tmp_path_factory, depth, material, name)
     depth[0, 0] = 0.5  # truth must hold something
     rgb = np.full((6, 8, 3), 90, np.uint8)
     sample = Sample("x", rgb, depth, depth, material > 0, Camera(9, 9, 3.5, 2.5, 8, 6), material, material)
-    root = exports.export(name, tmp_path_factory.mktemp("p") / "r", [sample], "train")
+    root = export.export(name, tmp_path_factory.mktemp("p") / "r", [sample], "train")
     got = datasets.REGISTRY[name](root, "train")[0]
     np.testing.assert_array_equal(got.depth, depth)
     np.testing.assert_array_equal(got.depth_gt, depth)
@@ -154,7 +155,7 @@ def test_any_depth_and_any_mask_survive(tmp_path_factory, depth, material, name)
 
 
 def test_synthetic_cleargrasp_takes_its_camera_from_the_json_or_the_known_one(tmp_path):
-    root = exports.export("cleargrasp_synthetic", tmp_path / "r", SCENES[:1], "val")
+    root = export.export("cleargrasp_synthetic", tmp_path / "r", SCENES[:1], "val")
     frames = datasets.ClearGraspSynthetic(root)
     (described,) = root.rglob("*-masks.json")
     for content in (json.dumps({"variants": []}), "[]", "not json"):
@@ -165,7 +166,7 @@ def test_synthetic_cleargrasp_takes_its_camera_from_the_json_or_the_known_one(tm
 
 
 def test_trosd_goes_by_its_lists_where_there_are_any(tmp_path):
-    root = exports.export("trosd", tmp_path / "r", SCENES, "val")
+    root = export.export("trosd", tmp_path / "r", SCENES, "val")
     (root / "test_glass.txt").write_text("test/rgb/000002.jpg test/mask/000002.png\n\n")
     (root / "test.txt").unlink()
     assert datasets.TROSD(root, "test").names == ["test/depth/000002"]

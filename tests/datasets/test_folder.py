@@ -9,7 +9,7 @@ import pytest
 from ditr_lite import cloud3d, datasets, files, pipeline
 from ditr_lite.config import preset
 
-REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
+REAL = Path(__file__).resolve().parents[3] / "shared" / "real"
 needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="no real frames beside the repository")
 
 

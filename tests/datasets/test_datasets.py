@@ -11,7 +11,7 @@ from ditr_lite import datasets, files
 from ditr_lite.camera import Camera
 from ditr_lite.data import REFLECTIVE, TRANSPARENT
 
-REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
+REAL = Path(__file__).resolve().parents[3] / "shared" / "real"
 needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="no real frames beside the repository")
 SHAPE = (12, 16)
 REGION = np.zeros(SHAPE, bool)

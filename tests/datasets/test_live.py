@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ditr_lite import live
 from ditr_lite.camera import Camera
+from ditr_lite.datasets import live
 
 UNITS = np.array([[400, 0, 65535], [800, 1200, 2000]], np.uint16)
 

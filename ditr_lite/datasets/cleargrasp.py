@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .camera import Camera
-from .data import OPAQUE, TRANSPARENT, Sample
-from .files import read_depth, read_intrinsics, read_mask, read_rgb
-from .readers import FrameFolder, beside, text
+from ..camera import Camera
+from ..data import OPAQUE, TRANSPARENT, Sample
+from ..files import read_depth, read_intrinsics, read_mask, read_rgb
+from .base import FrameFolder, beside, text
 
 FIELD_OF_VIEW = (1.2112585306167603, 0.7428327202796936)  # radians across and down, where a JSON does not say
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .camera import Camera
-from .data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample
-from .files import read_depth, read_intrinsics, read_mask, read_rgb
-from .readers import FrameFolder, described, red
+from ..camera import Camera
+from ..data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample
+from ..files import read_depth, read_intrinsics, read_mask, read_rgb
+from .base import FrameFolder, described, red
 
 
 class TODD(FrameFolder):

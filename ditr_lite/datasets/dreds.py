@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .camera import Camera
-from .data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample
-from .files import read_array, read_depth, read_labels, read_rgb
-from .readers import FrameFolder, beside, text
+from ..camera import Camera
+from ..data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample
+from ..files import read_array, read_depth, read_labels, read_rgb
+from .base import FrameFolder, beside, text
 
 MATERIALS = {2: TRANSPARENT, 3: REFLECTIVE}  # 0 and 1 are diffuse
 BACKGROUND = 255  # of the instance masks

@@ -4,11 +4,11 @@ Paper: Sec. V-A (ClearGrasp, TODD, STD), Sec. V-F (TROSD); TransCG, DREDS and a 
 paper trains and tests on each stands in the reader's ``protocol``.
 """
 
-from .readers import FrameFolder, teachable
-from .readers_cleargrasp import ClearGrasp, ClearGraspSynthetic
-from .readers_dreds import DREDS, STD
-from .readers_folder import Folder
-from .readers_others import TODD, TROSD, TransCG
+from .base import FrameFolder, teachable
+from .cleargrasp import ClearGrasp, ClearGraspSynthetic
+from .dreds import DREDS, STD
+from .folder import Folder
+from .others import TODD, TROSD, TransCG
 
 __all__ = [
     "DREDS",

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .data import OPAQUE, TRANSPARENT, Sample
-from .files import read_depth, read_intrinsics, read_mask, read_rgb
-from .readers import FrameFolder
+from ..data import OPAQUE, TRANSPARENT, Sample
+from ..files import read_depth, read_intrinsics, read_mask, read_rgb
+from .base import FrameFolder
 
 COLOUR, DEPTH, CAMERAS = (".png", ".jpg", ".jpeg"), (".png", ".npy", ".exr"), ("intrinsics.txt", "intrinsics.npy")
 

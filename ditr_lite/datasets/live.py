@@ -4,9 +4,9 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from .camera import Camera
-from .data import Sample
-from .units import clean_depth
+from ..camera import Camera
+from ..data import Sample
+from ..units import clean_depth
 
 EXTRA = "pip install 'pyrealsense2>=2.50'"
 

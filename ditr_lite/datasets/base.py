@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .data import Sample
-from .files import read_array
+from ..data import Sample
+from ..files import read_array
 
 
 class FrameFolder:

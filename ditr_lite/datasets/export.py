@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 import OpenEXR
 
-from .camera import Camera
-from .data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample
-from .files import written_whole
-from .readers_dreds import BACKGROUND
-from .units import depth_to_png
+from ..camera import Camera
+from ..data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample
+from ..files import written_whole
+from ..units import depth_to_png
+from .dreds import BACKGROUND
 
 JPEG_QUALITY = 95
 SPLIT_FOLDERS = {  # ours -> theirs, where they are called otherwise
