@@ -161,7 +161,7 @@ costs.level_costs | test_costs.py::test_levels_add_up_to_the_denoiser
 denoising U-Net
 
 F9 | done | 06_full_pipeline | Look at it
-viz.grid | test_viz.py::test_compare_draws_every_prediction_and_its_error
+viz.grid | viz/test_grids.py::test_compare_draws_every_prediction_and_its_error
 qualitative results beside other methods (ClearGrasp)
 
 F10 | done | 09_your_own_camera | 9 · The public datasets, without a download

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ditr_lite import cloud3d, datasets, files, pipeline
+from ditr_lite import datasets, files, pipeline
 from ditr_lite.config import preset
+from ditr_lite.viz import clouds
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "real"
 needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="no real frames beside the repository")
@@ -35,4 +36,4 @@ def test_real_frames_go_from_two_files_to_a_cloud(tmp_path):
         assert np.isfinite(out.depth).all() and (out.depth > 0).all()
         assert np.array_equal(out.depth[kept], sample.depth[kept])
         assert files.write_ply(tmp_path / "c.ply", out.depth, sample.rgb, sample.camera) == out.depth.size
-        assert len(cloud3d.points_of(out.depth, sample.rgb, sample.camera, 1000)[0]) > 500
+        assert len(clouds.points_of(out.depth, sample.rgb, sample.camera, 1000)[0]) > 500

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from ditr_lite import ablation_plots, panels
 from ditr_lite.data import Sample
+from ditr_lite.viz import panels
+from ditr_lite.viz import studies as ablation_plots
 
 
 def axes():

@@ -8,8 +8,8 @@ import ipywidgets
 import pytest
 from PIL import Image
 
-from ditr_lite.knobs import FRONT_ENDS, front_end, knobs
-from ditr_lite.panels import Picture
+from ditr_lite.viz.knobs import FRONT_ENDS, front_end, knobs
+from ditr_lite.viz.panels import Picture
 
 VALUES = {"slope": (0.5, 1.0, 2.0), "offset": (0, 1)}
 ROW = [{"slope": 0.5, "offset": 1}, {"slope": 2.0, "offset": 0}]

@@ -11,7 +11,7 @@ import numpy as np
 import plotly.graph_objects as go
 from PIL import Image
 
-from .camera import Camera, unproject
+from ..camera import Camera, unproject
 from .panels import FONT, Picture
 
 MIME = "application/vnd.plotly.v1+json"

@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from ditr_lite import camera, panels, viz
+from ditr_lite import camera, viz
 from ditr_lite.camera import Camera
 from ditr_lite.data import Sample
+from ditr_lite.viz import panels
 
 SHAPE = (24, 32)
 

@@ -20,8 +20,8 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from PIL import Image
 
-from .camera import Camera, unproject
-from .units import check_metres
+from ..camera import Camera, unproject
+from ..units import check_metres
 
 OKABE_ITO = ("#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#000000")
 GREY = "#9E9E9E"  # no value

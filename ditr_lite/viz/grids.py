@@ -14,9 +14,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.image import AxesImage
 
-from .camera import unproject as point_cloud_points
-from .data import Sample
-from .files import written_whole
+from ..camera import unproject as point_cloud_points
+from ..data import Sample
+from ..files import written_whole
 from .panels import (
     BARS,
     ERROR_MM,

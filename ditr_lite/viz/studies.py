@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from .data import Sample
+from ..data import Sample
 from .panels import FONT, GREY, OKABE_ITO, Picture, add_bar, error, rgb
 
 Interval = Sequence[float]
