@@ -99,7 +99,7 @@ def simulate(args: Namespace) -> None:
             raise ValueError("--split needs --count, the number of scenes")
         jobs = [(args.split, args.count, args.first_seed or 0, args.infrared or 0)]
     from .data import SAMPLES
-    from .simulate import simulate_many
+    from .simulator.simulate import simulate_many
 
     home = Path("outputs/sensors") / args.sensor if args.sensor else Path("outputs/scenes")
     root = args.out or (SAMPLES if args.split is None else home)

@@ -121,7 +121,7 @@ costs.beside_table_vi | test_costs.py::test_table_vi_cannot_hold
 latency and GFLOPs at 1280 × 720, per stage
 
 A1 | done | 09_your_own_camera | 10 · Four cameras, one scene
-sensors.measure | test_sensors.py::test_shipped_frames_show_the_signatures
+simulator.cameras.measure | simulator/test_cameras.py::test_shipped_frames_show_the_signatures
 generalisation without ground truth over four cameras
 
 A2 | done | 08_ablations | 8 · Search for failures

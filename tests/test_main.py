@@ -298,7 +298,7 @@ def test_simulate_calls(monkeypatch, tmp_path, capsys):
         calls.append(call)
         return [Path("first"), Path("last")]
 
-    monkeypatch.setattr("ditr_lite.simulate.simulate_many", fake)
+    monkeypatch.setattr("ditr_lite.simulator.simulate.simulate_many", fake)
     assert main(["simulate", "--workers", "2"]) == 0
     assert calls == [
         (data.SAMPLES, s, n, 0, 2, i, None) for s, n, i in (("test", 128, 4), ("val", 48, 2), ("train", 24, 2))

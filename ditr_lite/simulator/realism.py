@@ -5,7 +5,7 @@ They decide whether the simulator may be trusted: every real frame should lie in
 
 import numpy as np
 
-from .data import Sample
+from ..data import Sample
 
 STATISTICS = {
     "missing_outside": "share of pixels without a reading, outside the region",

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from .camera import Camera, Stereo, reproject
-from .data import REFLECTIVE, TRANSPARENT
-from .loss_types import Cause, LossType
+from ..camera import Camera, Stereo, reproject
+from ..data import REFLECTIVE, TRANSPARENT
+from ..loss_types import Cause, LossType
 
 
 @dataclass(frozen=True)

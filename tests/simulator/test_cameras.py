@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from ditr_lite import sensors
-from ditr_lite import simulate as simulator
 from ditr_lite.data import OPAQUE, SAMPLES, TRANSPARENT, list_samples, load_sample
 from ditr_lite.loss_types import Cause
-from ditr_lite.scenes import Scene, Thing, look_at
-from ditr_lite.simulate import simulate, simulate_many
+from ditr_lite.simulator import cameras as sensors
+from ditr_lite.simulator import simulate as simulator
+from ditr_lite.simulator.scenes import Scene, Thing, look_at
+from ditr_lite.simulator.simulate import simulate, simulate_many
 
 MATT = {"type": "matt", "texture": "noise", "texture_seed": 1, "roughness": 0.1, "infrared": 0.6}
 MATT["colours"] = np.array([[0.3, 0.3, 0.3], [0.7, 0.7, 0.7]])

@@ -14,8 +14,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from .camera import Camera
-from .data import OPAQUE, TRANSPARENT
+from ..camera import Camera
+from ..data import OPAQUE, TRANSPARENT
 from .render import load, mitsuba, render, truth
 from .scenes import Scene
 

@@ -15,10 +15,11 @@ import cv2
 import numpy as np
 from tqdm.auto import tqdm
 
-from . import sensor, sensors
-from .camera import Camera, Stereo
-from .data import OPAQUE, Sample, read_meta, save_sample
-from .loss_types import label
+from ..camera import Camera, Stereo
+from ..data import OPAQUE, Sample, read_meta, save_sample
+from ..loss_types import label
+from . import cameras as sensors
+from . import stereo as sensor
 from .render import load, mitsuba, render, truth
 from .scenes import Scene, Thing, random_scene
 

@@ -13,11 +13,12 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from . import sensor, tof
-from .camera import Camera, Stereo
+from ..camera import Camera, Stereo
+from . import stereo as sensor
+from . import tof
 from .render import PROJECTOR_DEG, load, render, truth
 from .scenes import Scene
-from .sensor import Matcher
+from .stereo import Matcher
 
 Seen = list[tuple[np.ndarray, ...]]
 

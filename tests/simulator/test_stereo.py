@@ -5,7 +5,7 @@ import pytest
 from ditr_lite.camera import Camera, Stereo
 from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT
 from ditr_lite.loss_types import Cause, LossType
-from ditr_lite.sensor import (
+from ditr_lite.simulator.stereo import (
     Matcher,
     causes,
     dot_pattern,

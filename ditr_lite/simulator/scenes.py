@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .data import OPAQUE, REFLECTIVE, TRANSPARENT
+from ..data import OPAQUE, REFLECTIVE, TRANSPARENT
 
 # Vessel outlines as (radius, height) points from the centre of the foot to the rim, in units of the vessel's height.
 VESSELS = {

@@ -6,8 +6,8 @@ import pytest
 
 from ditr_lite.camera import Camera
 from ditr_lite.data import OPAQUE
-from ditr_lite.render import load, mitsuba, render, triangles, truth
-from ditr_lite.scenes import PRISMS, VESSELS, Scene, Thing, look_at, random_scene
+from ditr_lite.simulator.render import load, mitsuba, render, triangles, truth
+from ditr_lite.simulator.scenes import PRISMS, VESSELS, Scene, Thing, look_at, random_scene
 
 SOLIDS = [*VESSELS, *PRISMS, "sphere", "ellipsoid", "box", "slab", "plate_mirror"]
 CAMERA = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
@@ -67,7 +67,7 @@ def test_without_mitsuba_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", absent)
     with pytest.raises(ImportError, match=r"pip install -e '\.\[simulate\]'"):
         mitsuba()
-    from ditr_lite.simulate import simulate
+    from ditr_lite.simulator.simulate import simulate
 
     with pytest.raises(ImportError, match="Mitsuba 3, an optional extra"):
         simulate(0)

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT
-from ditr_lite.render import triangles
-from ditr_lite.scenes import (
+from ditr_lite.simulator.render import triangles
+from ditr_lite.simulator.scenes import (
     PRISMS,
     TEST_FAMILIES,
     TRAIN_FAMILIES,

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from ditr_lite.data import Sample
-from ditr_lite.realism import STATISTICS, compare, frame_statistics
+from ditr_lite.simulator.realism import STATISTICS, compare, frame_statistics
 
 
 def frame(bias=0.03, name="frame", missing=2):

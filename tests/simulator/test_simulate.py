@@ -4,13 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ditr_lite import simulate as simulator
 from ditr_lite.camera import shadow_width_px
 from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample, read_sample, save_sample
 from ditr_lite.loss_types import Cause, LossType, label
-from ditr_lite.scenes import Scene, Thing, look_at
-from ditr_lite.sensor import Matcher
-from ditr_lite.simulate import simulate, simulate_many
+from ditr_lite.simulator import simulate as simulator
+from ditr_lite.simulator.scenes import Scene, Thing, look_at
+from ditr_lite.simulator.simulate import simulate, simulate_many
+from ditr_lite.simulator.stereo import Matcher
 
 MATT = {"type": "matt", "texture": "noise", "texture_seed": 1, "roughness": 0.1, "infrared": 0.6}
 MATT["colours"] = np.array([[0.3, 0.3, 0.3], [0.7, 0.7, 0.7]])

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from .camera import Camera
+from ..camera import Camera
 from .scenes import PRISMS, VESSELS, Scene, Thing, cross_section, outline
-from .sensor import dot_pattern
+from .stereo import dot_pattern
 from .textures import environment, texture
 
 _CV_TO_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])  # our cameras: x right, y down; Mitsuba's: x left, y up

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ditr_lite import tof
 from ditr_lite.camera import Camera
 from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT
-from ditr_lite.scenes import Scene, Thing, look_at
+from ditr_lite.simulator import tof
+from ditr_lite.simulator.scenes import Scene, Thing, look_at
 
 MATT = {"type": "matt", "texture": "noise", "texture_seed": 1, "roughness": 0.1, "infrared": 0.6}
 MATT["colours"] = np.array([[0.3, 0.3, 0.3], [0.7, 0.7, 0.7]])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ditr_lite.textures import SIZE, environment, texture
+from ditr_lite.simulator.textures import SIZE, environment, texture
 
 KINDS = ("plain", "noise", "stripes", "checker", "wood", "speckle", "print")
 COLOURS = np.array([[0.2, 0.3, 0.4], [0.8, 0.7, 0.6]])
