@@ -7,8 +7,8 @@ from .commands import check_scenes, check_target, chosen_frames, command_line
 
 def train_boundary(args: Namespace) -> None:
     """Train the learned boundary backend and write its weights and its entry in the card."""
-    from . import boundary_training
     from .store import WEIGHTS
+    from .training import boundary as boundary_training
 
     check_scenes(args)
     out = args.out or WEIGHTS

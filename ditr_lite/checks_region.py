@@ -8,9 +8,9 @@ import torch
 from . import metrics
 from .checker import Function, check
 from .config import RefineConfig
-from .finetune import soft_compose, soft_region
 from .region import CrossModalFusion, refine_region
-from .region_training import paper_learning_rate
+from .training.finetune import soft_compose, soft_region
+from .training.region_training import paper_learning_rate
 
 RNG = np.random.default_rng(2)
 

@@ -124,10 +124,10 @@ def train(args: Namespace) -> None:
     """Train one part, or all in the order in which they need each other, and write weights and card."""
     from dataclasses import replace
 
-    from . import fitting
     from .config import override, preset
-    from .recipes import RECIPES
     from .store import WEIGHTS
+    from .training import parts as fitting
+    from .training.recipes import RECIPES
 
     if args.part not in ("all", *fitting.PARTS):
         raise ValueError(f"unknown part {args.part!r}; choose all or one of {', '.join(fitting.PARTS)}")

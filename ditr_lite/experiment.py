@@ -20,12 +20,12 @@ import torch
 from .config import Config, override, preset, to_dict
 from .data import SAMPLES, read_sample
 from .evaluation import DITR, run_methods
-from .fitting import PARTS, check_same_system, folder_name, train_on
 from .pipeline import Ditr, build
-from .scenedata import Scenes, checksum, first, join, load_scenes, shrink
 from .store import CARD, load_part, read_card, save_part
 from .summaries import format_interval, paired_bootstrap
-from .training import Recipe
+from .training.batches import Scenes, checksum, first, join, load_scenes, shrink
+from .training.loop import Recipe
+from .training.parts import PARTS, check_same_system, folder_name, train_on
 
 SCORED = ("optical", "geometric")  # Table V's two kinds of loss
 QUICK = {

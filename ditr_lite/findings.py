@@ -14,10 +14,10 @@ from . import audit, boundary, conditioning, diffusion, metrics, region
 from .audit import beaten_in, below_rel_floor, implied_weight, rank_orders
 from .costs import vit_flops
 from .data import SAMPLES, list_samples, load_sample
-from .region_training import trosnet_learning_rate
 from .schedule import make_schedule
 from .store import WEIGHTS
 from .tables import SIZES, SIZES_ELSEWHERE, T1, T2, T3, T5, T6
+from .training.region_training import trosnet_learning_rate
 from .unet import CrossAttentionFeatureQuery, CrossAttentionLatentQuery
 
 RESULTS = WEIGHTS / "results_test.json"

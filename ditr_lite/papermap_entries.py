@@ -69,11 +69,11 @@ region.refine_region | test_region.py::test_refinement_agrees_with_the_naive_one
 refinement: median 7 × 7, then dilation 5 × 5 in 3 iterations
 
 S3 | done | 02_region_refinement | 6 · Train it as the paper says
-region_training.train_region | test_region_training.py::test_constants_are_the_papers
+training.region_training.train_region | training/test_region_training.py::test_constants_are_the_papers
 training of stage one: SGD, batch 16, momentum 0.9, weight decay 1e-4, 200 epochs, a mixed learning rate
 
 S4 | done | 02_region_refinement | 9 · Send the final error back through everything
-finetune.finetune_region | test_finetune.py::test_finetuning_moves_the_region_to_where_the_final_depth_gains
+training.finetune.finetune_region | training/test_finetune.py::test_finetuning_moves_the_region_to_where_the_final_depth_gains
 fine-tuning: stage two frozen, the final RMSE added to the loss, 1e-3, 50 epochs
 
 S5 | done | 03_vq_autoencoder | 5 · Where the quantiser sits, and why diffusion cares
@@ -81,7 +81,7 @@ autoencoder.VQAutoencoder | test_autoencoder.py::test_shapes_and_latents_before_
 autoencoder: no skip connections, scale 4 by two down- and two up-samplings, quantiser in the decoder
 
 S6 | done | 04_ddpm_math | The learning rate that the paper states
-paper_recipes.scaled_rate | test_paper_recipes.py::test_a_step_of_training_runs_at_the_papers_widths
+training.as_the_paper.scaled_rate | training/test_as_the_paper.py::test_a_step_of_training_runs_at_the_papers_widths
 training of stage two: 1,000 diffusion steps, batch 64, learning rate 1e-6
 
 S7 | done | 04_ddpm_math | Level by level

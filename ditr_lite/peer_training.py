@@ -25,15 +25,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from . import diffusion, peers, recipes
+from . import diffusion, peers
 from .autoencoder import VQAutoencoder
 from .config import Config, preset
 from .files import write_json
 from .pipeline import build
-from .scenedata import Batch, Scenes, checksum, draw, first, load_scenes
 from .schedule import make_schedule
 from .store import WEIGHTS, load_part, save_part
-from .training import Recipe, fit
+from .training import recipes
+from .training.batches import Batch, Scenes, checksum, draw, first, load_scenes
+from .training.loop import Recipe, fit
 
 ARMS = {
     **{name: {name: 1.0} for name in peers.NAMES},

@@ -363,7 +363,7 @@ PARTITION = [
 REGION = [
     *family(
         "learning rates (S3)",
-        "region_training",
+        "training/region_training",
         ("cosine: whole period", "math.cos(math.pi * p)", "math.cos(2 * math.pi * p)"),
         ("cosine: not halved", "(1 + math.cos(math.pi * p)) / 2", "(1 + math.cos(math.pi * p))"),
         ("exponential: rises", "math.exp(-fall * p)", "math.exp(fall * p)"),
@@ -374,7 +374,7 @@ REGION = [
     ),
     *family(
         "soft region (S4)",
-        "finetune",
+        "training/finetune",
         ("threshold: at 0", "torch.sigmoid(steepness * (x - 0.5))", "torch.sigmoid(steepness * x)"),
         ("vote: no threshold", "x = threshold(F.avg_pool2d(", "x = (F.avg_pool2d("),
         ("vote: border of zeros", 'mode="replicate"', 'mode="constant"'),

@@ -9,8 +9,8 @@ from ditr_lite import experiment
 from ditr_lite.config import preset
 from ditr_lite.data import SAMPLES
 from ditr_lite.experiment import QUICK, TOUCHES, compare, format_comparison, touched
-from ditr_lite.fitting import PARTS
 from ditr_lite.store import load_part, read_card
+from ditr_lite.training.parts import PARTS
 
 TINY = preset("tiny")
 SHORT = {"steps": 1, "limit": 2, "frames": 2}

@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from ditr_lite import data, files, memory, pipeline, recipes, store, yardstick
+from ditr_lite import data, files, memory, pipeline, store, yardstick
 from ditr_lite.__main__ import DATASETS, main
 from ditr_lite.config import preset
+from ditr_lite.training import recipes
 
 ROOT = Path(__file__).resolve().parents[1]
 REAL = ROOT.parent / "shared" / "real"
@@ -350,7 +351,7 @@ def test_only_plain_lite_writes_into_the_shipped_weights(scenes, monkeypatch, ca
         commands.append(command)
         return {"steps": 0, "seconds": 0, "curve": []}
 
-    monkeypatch.setattr("ditr_lite.fitting.train", fake)
+    monkeypatch.setattr("ditr_lite.training.parts.train", fake)
     argv = ["train", "--part", "region", "--data", str(scenes / "val"), "--val", str(scenes / "val"), "--steps", "7"]
     for extra in ([], ["--preset", "tiny"], ["--set", "unet.width=64"]):
         assert main([*argv, *extra]) == 0
@@ -374,8 +375,8 @@ def test_scenes_to_validate_on_are_the_shipped_ones_wherever_it_is_called_from(s
         seen.append(args[3] if args[0] == "region" else args[1])
         raise ValueError("far enough")
 
-    monkeypatch.setattr("ditr_lite.fitting.train", fake)
-    monkeypatch.setattr("ditr_lite.boundary_training.train_boundary", fake)
+    monkeypatch.setattr("ditr_lite.training.parts.train", fake)
+    monkeypatch.setattr("ditr_lite.training.boundary.train_boundary", fake)
     monkeypatch.chdir(tmp_path)
     for command in (["train", "--part", "region"], ["train-boundary"]):
         assert main([*command, "--data", str(scenes / "val")]) == 2

@@ -9,8 +9,8 @@ from ditr_lite import peers
 from ditr_lite.config import preset
 from ditr_lite.data import SAMPLES
 from ditr_lite.pipeline import build
-from ditr_lite.scenedata import draw, load_scenes
 from ditr_lite.store import read_card, save_part
+from ditr_lite.training.batches import draw, load_scenes
 
 TINY = preset("tiny")
 DATA = SAMPLES / "train"

@@ -18,11 +18,12 @@ import numpy as np
 from tqdm.auto import tqdm
 
 import ditr_lite as dl
-from ditr_lite import finetune, region_scores, stage_one, summaries
+from ditr_lite import region_scores, stage_one, summaries
 from ditr_lite.config import RefineConfig
 from ditr_lite.files import write_json
-from ditr_lite.scenedata import load_scenes
 from ditr_lite.store import WEIGHTS, read_card
+from ditr_lite.training import finetune
+from ditr_lite.training.batches import load_scenes
 
 ROOT = Path(__file__).resolve().parents[1]
 OFFSETS = (-4, -2, -1, 0, 1, 2, 4)

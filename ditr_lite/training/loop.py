@@ -15,7 +15,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 from tqdm.auto import tqdm
 
-from .store import write_tensors
+from ..store import write_tensors
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from .boundary import precision_recall_f, true_maps
-from .boundary.learned import begin_with_stage_one, build, depth_image, thin
-from .config import from_dict, preset
-from .data import read_sample
-from .scenedata import Scenes, checksum, draw, load_scenes
-from .store import CARD, load_part, read_card, save_part
-from .training import Recipe, fit
+from ..boundary import precision_recall_f, true_maps
+from ..boundary.learned import begin_with_stage_one, build, depth_image, thin
+from ..config import from_dict, preset
+from ..data import read_sample
+from ..store import CARD, load_part, read_card, save_part
+from .batches import Scenes, checksum, draw, load_scenes
+from .loop import Recipe, fit
 
 RECIPE = Recipe(steps=3000, batch=8, lr=3e-3, warmup=30, decay=0.99)
 DEPTH_SHARE = 1 / 3  # of the steps, for the depth network: there is less to see in depth
@@ -30,7 +30,7 @@ def with_outlines(scenes: Scenes, folder: Path | str) -> Scenes:
     """Return the scenes with their exact outlines in the place of guides, so that batches carry them.
 
     Args:
-        scenes: from :func:`scenedata.load_scenes`.
+        scenes: from :func:`training.batches.load_scenes`.
         folder: they were loaded from; instances are read there.
 
     Raises:

@@ -6,8 +6,9 @@ import pytest
 import torch
 from torch import nn
 
-from ditr_lite import store, training
-from ditr_lite.training import Recipe, fit, learning_rate
+from ditr_lite import store
+from ditr_lite.training import loop
+from ditr_lite.training.loop import Recipe, fit, learning_rate
 
 RECIPE = Recipe(steps=12, batch=1, lr=0.05, warmup=3, decay=0.9)
 
@@ -42,7 +43,7 @@ def test_moving_average_has_its_closed_form():
     average = {"weight": torch.tensor([[4.0]])}
     nn.init.constant_(model.weight, 1.0)
     for _ in range(7):
-        training._follow(average, model, decay=0.9)
+        loop._follow(average, model, decay=0.9)
     assert average["weight"].item() == pytest.approx(1 + 3 * 0.9**7)
 
 
@@ -50,7 +51,7 @@ def test_counters_and_codebook_are_copied_not_averaged():
     model = nn.ModuleDict({"quantizer": nn.Linear(1, 1), "bn": nn.BatchNorm1d(1)})
     average = {k: torch.zeros_like(v) for k, v in model.state_dict().items()}
     model["bn"].num_batches_tracked += 5
-    training._follow(average, model, decay=0.9)
+    loop._follow(average, model, decay=0.9)
     assert torch.equal(average["quantizer.weight"], model["quantizer"].weight)
     assert average["bn.num_batches_tracked"] == 5 and torch.allclose(average["bn.weight"], torch.tensor(0.1))
 
@@ -129,7 +130,7 @@ def test_checkpoint_of_another_run_is_refused(tmp_path, changed, settings):
 def test_checkpoint_that_does_not_say_of_which_run_it_is_or_is_cut_short_is_refused(tmp_path):
     run(tmp_path)
     file = tmp_path / "part.checkpoint.safetensors"
-    tensors, whole = training.load_file(str(file)), file.read_bytes()
+    tensors, whole = loop.load_file(str(file)), file.read_bytes()
     store.write_tensors(tensors, file)
     with pytest.raises(ValueError, match="belongs to another run"):
         run(tmp_path)
@@ -143,7 +144,7 @@ def test_seed_decides_and_the_average_is_what_remains(tmp_path):
     one, _ = run(tmp_path / "a")
     other, _ = run(tmp_path / "b", seed=1)
     assert not torch.equal(one["0.weight"], other["0.weight"])
-    raw = training.load_file(str(tmp_path / "a" / "part.checkpoint.safetensors"))
+    raw = loop.load_file(str(tmp_path / "a" / "part.checkpoint.safetensors"))
     assert torch.equal(one["0.weight"], raw["average.0.weight"])
     assert not torch.equal(one["0.weight"], raw["model.0.weight"])
 

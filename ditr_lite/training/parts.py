@@ -11,17 +11,17 @@ import numpy as np
 import torch
 from torch import nn
 
+from ..conditioning import fill
+from ..config import Config, from_dict, to_dict
+from ..data import SAMPLES
+from ..metrics import iou
+from ..pipeline import build
+from ..region import region_probability
+from ..schedule import make_schedule
+from ..store import CARD, WEIGHTS, copy_weights, load_part, read_card, save_part
 from . import recipes
-from .conditioning import fill
-from .config import Config, from_dict, to_dict
-from .data import SAMPLES
-from .metrics import iou
-from .pipeline import build
-from .region import region_probability
-from .scenedata import Scenes, checksum, load_scenes
-from .schedule import make_schedule
-from .store import CARD, WEIGHTS, copy_weights, load_part, read_card, save_part
-from .training import Recipe, fit
+from .batches import Scenes, checksum, load_scenes
+from .loop import Recipe, fit
 
 PARTS = ("autoencoder", "region", "optical", "geometric", "detail")  # in the order in which they need each other
 NETWORKS = ("region", "autoencoder", "schedule", "unet", "detail")  # settings that make the networks

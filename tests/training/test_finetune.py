@@ -7,14 +7,15 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ditr_lite import completion, finetune
+from ditr_lite import completion
 from ditr_lite.conditioning import depth_bounds
 from ditr_lite.config import RefineConfig, preset
-from ditr_lite.finetune import final_rmse, finetune_region, paint, paint_once, soft_compose, soft_region
 from ditr_lite.pipeline import Ditr, build
-from ditr_lite.recipes import batches
 from ditr_lite.region import class_boundary, refine_region
-from ditr_lite.scenedata import Scenes, draw
+from ditr_lite.training import finetune
+from ditr_lite.training.batches import Scenes, draw
+from ditr_lite.training.finetune import final_rmse, finetune_region, paint, paint_once, soft_compose, soft_region
+from ditr_lite.training.recipes import batches
 
 TINY = preset("tiny")
 KERNELS = [RefineConfig(), RefineConfig(3, 3, 1), RefineConfig(0, 5, 2), RefineConfig(5, 0, 3), RefineConfig(3, 3, 0)]

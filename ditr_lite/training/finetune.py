@@ -26,13 +26,13 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from tqdm.auto import tqdm
 
+from ..config import Config, RefineConfig
+from ..detail import detail_input
+from ..region import region_loss, region_probability
+from ..schedule import make_schedule
 from . import recipes
-from .config import Config, RefineConfig
-from .detail import detail_input
-from .region import region_loss, region_probability
+from .batches import Batch, Scenes
 from .region_training import descend, epoch_batches, known_classes, sgd
-from .scenedata import Batch, Scenes
-from .schedule import make_schedule
 
 RATE, EPOCHS = 1e-3, 50  # the paper's
 STEEPNESS = 20.0

@@ -6,13 +6,13 @@ import pytest
 import torch
 
 import ditr_lite as dl
-from ditr_lite import recipes
 from ditr_lite.config import Config, override, preset
 from ditr_lite.data import SAMPLES, Sample, read_sample, save_sample
-from ditr_lite.fitting import PARTS, check_same_system, folder_name, scene_errors, train, train_on
-from ditr_lite.scenedata import load_scenes
 from ditr_lite.store import load_part, read_card
-from ditr_lite.training import Recipe
+from ditr_lite.training import recipes
+from ditr_lite.training.batches import load_scenes
+from ditr_lite.training.loop import Recipe
+from ditr_lite.training.parts import PARTS, check_same_system, folder_name, scene_errors, train, train_on
 
 TINY = preset("tiny")
 RECIPE = Recipe(steps=2, batch=2, lr=1e-3, warmup=1)

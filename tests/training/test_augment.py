@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite.augment import colours, grow, lose_patches, lose_readings, mistake, reframe
+from ditr_lite.training.augment import colours, grow, lose_patches, lose_readings, mistake, reframe
 
 
 def region():

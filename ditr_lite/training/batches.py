@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 from tqdm.auto import tqdm
 
+from ..boundary import Backend, boundary_maps, get_backend
+from ..conditioning import depth_bounds, fit, to_tensor
+from ..data import read_sample
+from ..files import written_whole
 from .augment import colours, lose_readings
-from .boundary import Backend, boundary_maps, get_backend
-from .conditioning import depth_bounds, fit, to_tensor
-from .data import read_sample
-from .files import written_whole
 
 MAPS = ("rgb", "depth", "depth_gt", "material")  # what every scene has
 

@@ -2,16 +2,16 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite import recipes
 from ditr_lite.conditioning import CHANNELS
 from ditr_lite.config import preset
 from ditr_lite.data import SAMPLES
-from ditr_lite.fitting import PARTS
 from ditr_lite.pipeline import build
-from ditr_lite.recipes import batches, branch_inputs, encode_targets, one_step, paint_all, rng_of
-from ditr_lite.scenedata import Scenes, draw, load_scenes
 from ditr_lite.schedule import make_schedule
-from ditr_lite.training import Recipe
+from ditr_lite.training import recipes
+from ditr_lite.training.batches import Scenes, draw, load_scenes
+from ditr_lite.training.loop import Recipe
+from ditr_lite.training.parts import PARTS
+from ditr_lite.training.recipes import batches, branch_inputs, encode_targets, one_step, paint_all, rng_of
 
 TINY = preset("tiny")
 RECIPE = Recipe(steps=40, batch=2, lr=1e-2)

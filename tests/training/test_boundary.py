@@ -2,14 +2,21 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite import boundary_training, store
+from ditr_lite import store
 from ditr_lite.boundary import get_backend, true_maps
 from ditr_lite.boundary.learned import LearnedBoundary, build
-from ditr_lite.boundary_training import best_threshold, boundary_step, probabilities, train_boundary, with_outlines
 from ditr_lite.config import override, preset
 from ditr_lite.data import SAMPLES, read_sample
-from ditr_lite.scenedata import load_scenes
-from ditr_lite.training import Recipe
+from ditr_lite.training import boundary as boundary_training
+from ditr_lite.training.batches import load_scenes
+from ditr_lite.training.boundary import (
+    best_threshold,
+    boundary_step,
+    probabilities,
+    train_boundary,
+    with_outlines,
+)
+from ditr_lite.training.loop import Recipe
 
 VAL = SAMPLES / "val"
 SHORT = Recipe(steps=3, batch=2, lr=1e-3)

@@ -8,12 +8,12 @@ import torch
 import torch.nn.functional as F
 
 from ditr_lite import diffusion
-from ditr_lite import paper_recipes as recipes
 from ditr_lite.autoencoder import VQAutoencoder, autoencoder_loss
 from ditr_lite.conditioning import CHANNELS
 from ditr_lite.config import preset
 from ditr_lite.region import RegionNet, region_loss
 from ditr_lite.schedule import make_schedule
+from ditr_lite.training import as_the_paper as recipes
 from ditr_lite.unet import DenoisingUNet
 
 PAPER = preset("paper")

@@ -15,9 +15,9 @@ import torch
 from torch import nn
 from tqdm.auto import tqdm
 
+from ..region import IGNORE, region_loss
+from .batches import Batch, Scenes, draw
 from .recipes import CLASS_WEIGHTS, rng_of
-from .region import IGNORE, region_loss
-from .scenedata import Batch, Scenes, draw
 
 EPOCHS, BATCH, MOMENTUM, WEIGHT_DECAY = 200, 16, 0.9, 1e-4  # the paper's
 PEAK = 0.01  # not in the paper; its fine-tuning rate, 1e-3, is a tenth of it

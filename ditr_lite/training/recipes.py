@@ -11,16 +11,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from . import diffusion
+from .. import diffusion
+from ..autoencoder import VQAutoencoder, autoencoder_loss
+from ..conditioning import condition, fill
+from ..config import Config
+from ..pipeline import detail_input
+from ..region import IGNORE, region_loss
+from ..schedule import make_schedule
 from .augment import grow, lose_patches, mistake, reframe
-from .autoencoder import VQAutoencoder, autoencoder_loss
-from .conditioning import condition, fill
-from .config import Config
-from .pipeline import detail_input
-from .region import IGNORE, region_loss
-from .scenedata import Batch, Scenes, draw, draw_each
-from .schedule import make_schedule
-from .training import Recipe
+from .batches import Batch, Scenes, draw, draw_each
+from .loop import Recipe
 
 CLASS_WEIGHTS = (0.4, 1.0, 1.0)  # background, transparent, reflective
 REFRAME_ALL, REFRAME_SHARE = 1000, 0.3  # stage one: every batch is reframed up to this step, then this share of them

@@ -6,7 +6,8 @@ import torch
 
 from ditr_lite.config import preset
 from ditr_lite.region import IGNORE, RegionNet
-from ditr_lite.region_training import (
+from ditr_lite.training.batches import Scenes
+from ditr_lite.training.region_training import (
     BATCH,
     EPOCHS,
     FALL,
@@ -21,7 +22,6 @@ from ditr_lite.region_training import (
     train_region,
     trosnet_learning_rate,
 )
-from ditr_lite.scenedata import Scenes
 
 
 def make_scenes(count, shape):

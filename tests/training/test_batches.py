@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite import scenedata
 from ditr_lite.boundary import boundary_maps, get_backend
 from ditr_lite.conditioning import depth_bounds
 from ditr_lite.data import SAMPLES, Sample, read_sample, save_sample
-from ditr_lite.scenedata import Batch, draw, draw_each, load_scenes
+from ditr_lite.training import batches
+from ditr_lite.training.batches import Batch, draw, draw_each, load_scenes
 
 VAL = SAMPLES / "val"
 
@@ -42,7 +42,7 @@ def test_guides_are_the_boundary_maps_and_are_computed_once(scenes, cache, monke
     sample = read_sample(VAL / scenes.names[1])
     m_rgb, _, m_da = boundary_maps(sample.rgb, sample.depth, get_backend("classical"))
     assert np.array_equal(scenes.guides[1], [m_rgb, m_da])
-    monkeypatch.setattr(scenedata, "ThreadPoolExecutor", None)  # nothing may be computed
+    monkeypatch.setattr(batches, "ThreadPoolExecutor", None)  # nothing may be computed
     assert np.array_equal(load_scenes(VAL, 2, "classical", cache).guides, scenes.guides)
 
 
@@ -56,7 +56,7 @@ def test_maps_of_other_weights_are_not_taken_from_the_cache(tmp_path, monkeypatc
 
     for fingerprint, answer in (("before", False), ("after", True), ("before", False)):
         made = Marked(fingerprint, answer)
-        monkeypatch.setattr(scenedata, "get_backend", lambda name, made=made: made)
+        monkeypatch.setattr(batches, "get_backend", lambda name, made=made: made)
         guides = load_scenes(VAL, 1, "learned", tmp_path / "maps.npz").guides
         assert guides.all() == answer and guides.any() == answer
 
@@ -107,14 +107,14 @@ def test_a_limit_below_one_is_refused(limit):
 
 
 def test_a_checksum_is_of_every_map_and_name(scenes):
-    plain = scenedata.checksum(scenes)
-    assert scenedata.checksum(scenedata.first(scenes, None)) == plain
-    others = [replace(scenes, guides=None), replace(scenes, names=["a", "b"]), scenedata.first(scenes, 1)]
-    for key in scenedata.MAPS:
+    plain = batches.checksum(scenes)
+    assert batches.checksum(batches.first(scenes, None)) == plain
+    others = [replace(scenes, guides=None), replace(scenes, names=["a", "b"]), batches.first(scenes, 1)]
+    for key in batches.MAPS:
         maps = getattr(scenes, key).copy()
         maps[1, -1, -1] += 1
         others.append(replace(scenes, **{key: maps}))
-    assert len({plain, *map(scenedata.checksum, others)}) == len(others) + 1
+    assert len({plain, *map(batches.checksum, others)}) == len(others) + 1
 
 
 def test_a_folder_without_scenes_is_refused(tmp_path):
