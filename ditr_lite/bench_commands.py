@@ -10,30 +10,30 @@ from .commands import check_target, chosen_frames, command_line, load_system
 def bench(args: Namespace) -> None:
     """Score every method on a split, a reader's own included, and measure what each stage costs."""
     check_target(args.json, ".json")
-    from . import evaluation, latency
     from .baselines import REGISTRY
+    from .evaluation import latency, scoring
+    from .evaluation.own_method import find_methods
     from .files import write_json
-    from .own_method import find_methods
 
     if args.runs < latency.MIN_RUNS:  # now, not after everything has been scored
         raise ValueError(f"--runs should be at least {latency.MIN_RUNS}, got {args.runs}")
     own = find_methods(args.method)
     source, frames = chosen_frames(args)
     ditr = load_system(args)
-    results = evaluation.run_methods(frames, ditr, {**REGISTRY, **own}, args.given_region, args.steps, args.samples)
+    results = scoring.run_methods(frames, ditr, {**REGISTRY, **own}, args.given_region, args.steps, args.samples)
     print(f"{source}, region {'given' if args.given_region else 'found by stage one'}")
-    print(evaluation.format_report(evaluation.summary(results)))
+    print(scoring.format_report(scoring.summary(results)))
     notes = {"source": source, "given_region": args.given_region, "steps": args.steps, "samples": args.samples}
     notes["cost"] = costs(args, ditr, frames[0])
     if args.json:
-        write_json(args.json, evaluation.to_json(results, command_line(args), args.weights, **notes))
+        write_json(args.json, scoring.to_json(results, command_line(args), args.weights, **notes))
 
 
 def costs(args: Namespace, ditr, sample) -> dict[str, Any]:
     """Measure and print time, memory and operations at both frame sizes, the yardstick and training speed."""
     import torch
 
-    from . import latency, memory, yardstick
+    from .evaluation import latency, memory, yardstick
 
     found: dict[str, Any] = {
         "machine": {"cores": os.cpu_count(), "threads": torch.get_num_threads(), "torch": torch.__version__},

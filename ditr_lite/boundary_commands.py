@@ -23,7 +23,7 @@ def train_boundary(args: Namespace) -> None:
 def bench_boundary(args: Namespace) -> None:
     """Score every boundary backend against the exact outlines of rendered scenes, and print the table."""
     check_target(args.json, ".json")
-    from . import boundary_scoring
+    from .evaluation import boundary as boundary_scoring
 
     _, frames = chosen_frames(args)
     _, tuning = chosen_frames(Namespace(split="train", root=args.root, limit=None))

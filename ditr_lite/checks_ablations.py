@@ -4,9 +4,9 @@ import numpy as np
 from scipy.stats import rankdata
 
 from . import failures
-from .ablation import compare_seeds
 from .checker import Function, check
-from .draws import reliability
+from .evaluation.draws import reliability
+from .evaluation.statistics import compare_seeds
 
 
 def check_paired_mean(attempt: Function) -> bool:

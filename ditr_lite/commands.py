@@ -50,19 +50,19 @@ def evaluate(args: Namespace) -> None:
     """Score DITR and every baseline on a split of rendered scenes or on a real dataset, and print the tables."""
     check_target(args.json, ".json")
     source, frames = chosen_frames(args)
-    from . import evaluation, protocols
+    from .evaluation import protocols, scoring
     from .files import write_json
 
     name = args.protocol or ("cleargrasp" if args.dataset == "cleargrasp" else None)
     protocol = protocols.PROTOCOLS.get(name)
-    results = evaluation.run_methods(
+    results = scoring.run_methods(
         frames, load_system(args), None, args.given_region, args.steps, args.samples, protocol=protocol
     )
     print(f"{source}, region {'given' if args.given_region else 'found by stage one'}")
-    print(evaluation.format_report(evaluation.summary(results, protocol), protocol))
+    print(scoring.format_report(scoring.summary(results, protocol), protocol))
     if args.json:
         notes = {"source": source, "given_region": args.given_region, "steps": args.steps, "samples": args.samples}
-        write_json(args.json, evaluation.to_json(results, command_line(args), args.weights, protocol, **notes))
+        write_json(args.json, scoring.to_json(results, command_line(args), args.weights, protocol, **notes))
 
 
 def floor(args: Namespace) -> None:

@@ -19,7 +19,7 @@ import torch
 
 from .config import Config, override, preset, to_dict
 from .data import SAMPLES, read_sample
-from .evaluation import DITR, run_methods
+from .evaluation.scoring import DITR, run_methods
 from .pipeline import Ditr, build
 from .store import CARD, load_part, read_card, save_part
 from .summaries import format_interval, paired_bootstrap

@@ -12,8 +12,8 @@ import torch
 
 from . import audit, boundary, conditioning, diffusion, metrics, region
 from .audit import beaten_in, below_rel_floor, implied_weight, rank_orders
-from .costs import vit_flops
 from .data import SAMPLES, list_samples, load_sample
+from .evaluation.costs import vit_flops
 from .schedule import make_schedule
 from .store import WEIGHTS
 from .tables import SIZES, SIZES_ELSEWHERE, T1, T2, T3, T5, T6

@@ -117,7 +117,7 @@ audit.rank_orders | test_audit.py::test_six_orders_of_table_5
 error breakdown, geometric and optical
 
 T6 | done | 04_ddpm_math | What the paper's sizes cost
-costs.beside_table_vi | test_costs.py::test_table_vi_cannot_hold
+evaluation.costs.beside_table_vi | evaluation/test_costs.py::test_table_vi_cannot_hold
 latency and GFLOPs at 1280 × 720, per stage
 
 A1 | done | 09_your_own_camera | 10 · Four cameras, one scene
@@ -157,7 +157,7 @@ diffusion.sample | test_diffusion.py::test_callback_sees_every_step_and_clipping
 diffusion block
 
 F8 | done | 04_ddpm_math | Level by level
-costs.level_costs | test_costs.py::test_levels_add_up_to_the_denoiser
+evaluation.costs.level_costs | evaluation/test_costs.py::test_levels_add_up_to_the_denoiser
 denoising U-Net
 
 F9 | done | 06_full_pipeline | Look at it

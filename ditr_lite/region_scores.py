@@ -14,9 +14,9 @@ from . import metrics
 from .conditioning import fit
 from .config import RefineConfig
 from .data import Sample
+from .evaluation.stage_one import class_map, mask_errors
 from .pipeline import Ditr
 from .region import refine_region
-from .stage_one import class_map, mask_errors
 
 
 def offset_region(region: np.ndarray, pixels: int) -> np.ndarray:

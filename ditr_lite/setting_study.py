@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .ablation import SeedComparison, compare_seeds
+from .evaluation.statistics import SeedComparison, compare_seeds
 from .experiment import compare
 from .store import WEIGHTS
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from . import metrics
 from .data import Sample
-from .draws import flying_share
+from .evaluation.draws import flying_share
 from .summaries import bootstrap_mean, format_interval, paired_bootstrap
 
 SETS = ("optical", "geometric")

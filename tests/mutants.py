@@ -288,7 +288,7 @@ METRICS = [
     ),
     *family(
         "protocols",
-        "protocols",
+        "evaluation/protocols",
         ("input: dropped, not clipped", "if self.clip else np", "if not self.clip else np"),
         ("input: near readings kept", "np.where(depth < self.near_m, 0, far)", "far"),
         ("truth: range ignored", "(truth > self.truth_m[0]) & (truth < self.truth_m[1])", "(truth > 0)"),
@@ -397,7 +397,7 @@ REGION = [
     ),
     *family(
         "prices of mistakes",
-        "stage_one",
+        "evaluation/stage_one",
         ("recall: by name", "metrics.miss_rate(found > 0,", "metrics.miss_rate(found == code,"),
     ),
 ]

@@ -2,8 +2,8 @@
 
 import pytest
 
-from ditr_lite import evaluation
 from ditr_lite.__main__ import main
+from ditr_lite.evaluation import scoring
 
 
 @pytest.mark.parametrize(
@@ -18,7 +18,7 @@ def test_bench_refuses_before_it_scores(tmp_path, capsys, monkeypatch, argv, rea
     def refuse(*_):
         raise AssertionError("frames were scored")
 
-    monkeypatch.setattr(evaluation, "run_methods", refuse)
+    monkeypatch.setattr(scoring, "run_methods", refuse)
     (tmp_path / "mine.py").write_text("def fill(rgb, depth, region):\n    return depth\n")
     monkeypatch.chdir(tmp_path)
     assert main(["bench", "--limit", "1", "--json", "b.json", *argv]) == 2

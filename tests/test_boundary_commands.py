@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from ditr_lite import boundary_scoring, pipeline, store
+from ditr_lite import pipeline, store
 from ditr_lite.__main__ import main
 from ditr_lite.boundary import learned
 from ditr_lite.config import override, preset
 from ditr_lite.data import SAMPLES, list_samples
+from ditr_lite.evaluation import boundary as boundary_scoring
 from ditr_lite.training import boundary as boundary_training
 
 ROOT = Path(__file__).resolve().parents[1]

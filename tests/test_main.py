@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from ditr_lite import data, files, memory, pipeline, store, yardstick
+from ditr_lite import data, files, pipeline, store
 from ditr_lite.__main__ import DATASETS, main
 from ditr_lite.config import preset
+from ditr_lite.evaluation import memory, yardstick
 from ditr_lite.training import recipes
 
 ROOT = Path(__file__).resolve().parents[1]

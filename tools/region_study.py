@@ -18,8 +18,9 @@ import numpy as np
 from tqdm.auto import tqdm
 
 import ditr_lite as dl
-from ditr_lite import region_scores, stage_one, summaries
+from ditr_lite import region_scores, summaries
 from ditr_lite.config import RefineConfig
+from ditr_lite.evaluation import stage_one
 from ditr_lite.files import write_json
 from ditr_lite.store import WEIGHTS, read_card
 from ditr_lite.training import finetune

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .baselines import REGISTRY, Fill
-from .evaluation import RESERVED
+from ..baselines import REGISTRY, Fill
+from .scoring import RESERVED
 
 
 def find_methods(addresses: Iterable[str], folder: Path | str = ".") -> dict[str, Fill]:

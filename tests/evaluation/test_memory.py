@@ -1,7 +1,7 @@
 import numpy as np
 
-from ditr_lite import memory
 from ditr_lite.data import load_sample
+from ditr_lite.evaluation import memory
 
 
 def test_peak_sees_what_is_allocated_and_given_back():

@@ -3,7 +3,7 @@ import pytest
 
 from ditr_lite import pipeline
 from ditr_lite.config import preset
-from ditr_lite.stage_one import PER_CLASS, class_map, class_scores, mask_errors
+from ditr_lite.evaluation.stage_one import PER_CLASS, class_map, class_scores, mask_errors
 
 SHAPE = (64, 96)
 

@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from ditr_lite import ablation
+from ditr_lite.evaluation import statistics
 from ditr_lite.summaries import paired_bootstrap
 
 
 def test_seeds_are_averaged_and_their_distance_is_told():
     b = np.linspace(0.02, 0.2, 30)
-    found = ablation.compare_seeds([b + 0.004, b + 0.006], [b - 0.001, b + 0.001, b])
+    found = statistics.compare_seeds([b + 0.004, b + 0.006], [b - 0.001, b + 0.001, b])
     assert found == pytest.approx((0.005, 0.005, 0.005, 0.002))
     assert found.clear
 
@@ -20,28 +20,28 @@ def test_a_difference_is_clear_only_beyond_scenes_and_seeds(gap, jitter, clear):
     rng = np.random.default_rng(0)
     b = rng.uniform(0.02, 0.2, 40)
     a = b + gap + rng.normal(0, 0.004, 40) * (gap != 0)
-    assert ablation.compare_seeds([a - jitter / 2, a + jitter / 2], [b]).clear is clear
+    assert statistics.compare_seeds([a - jitter / 2, a + jitter / 2], [b]).clear is clear
 
 
 def test_the_interval_is_the_paired_one_of_the_means_over_seeds():
     a, b = np.random.default_rng(1).uniform(0.02, 0.2, (2, 2, 25))
-    assert ablation.compare_seeds(a, b)[:3] == paired_bootstrap(list(a.mean(0)), list(b.mean(0)))
+    assert statistics.compare_seeds(a, b)[:3] == paired_bootstrap(list(a.mean(0)), list(b.mean(0)))
 
 
 @pytest.mark.parametrize("a", [[0.1, 0.2], [[0.1]], [[]], []])
 def test_errors_of_other_scenes_are_refused(a):
     with pytest.raises(ValueError, match="same scenes"):
-        ablation.compare_seeds(a, [[0.1, 0.2]])
+        statistics.compare_seeds(a, [[0.1, 0.2]])
 
 
 def test_unpaired_intervals_are_as_wide_as_theory_says():
     rng = np.random.default_rng(2)
     a, b = rng.normal(0.10, 0.03, 400), rng.normal(0.08, 0.04, 400)
-    mean, low, high = ablation.unpaired_bootstrap(a, b)
+    mean, low, high = statistics.unpaired_bootstrap(a, b)
     assert mean == pytest.approx(a.mean() - b.mean())
     assert high - low == pytest.approx(2 * 1.96 * np.sqrt((a.var() + b.var()) / 400), rel=0.06)
     with pytest.raises(ValueError, match="one per image"):
-        ablation.unpaired_bootstrap([], [0.1])
+        statistics.unpaired_bootstrap([], [0.1])
 
 
 @pytest.mark.parametrize(
@@ -54,11 +54,11 @@ def test_unpaired_intervals_are_as_wide_as_theory_says():
     ],
 )
 def test_the_verdict_follows_the_interval(interval, words):
-    assert ablation.verdict("A", interval, "B").startswith(words)
+    assert statistics.verdict("A", interval, "B").startswith(words)
 
 
 def test_a_verdict_of_seeds_says_whether_it_beats_them():
     a, b = [[0.030, 0.040], [0.031, 0.041]], [[0.040, 0.050], [0.040, 0.050]]
-    text = ablation.seed_verdict("a", a, b, "b")
+    text = statistics.seed_verdict("a", a, b, "b")
     assert text == "a: a smaller error than b (-9.5 mm [-9.5, -9.5]); seeds 1.0 mm apart: clear"
-    assert ablation.seed_verdict("b", b, [[0.030, 0.040], [0.045, 0.055]], "c").endswith("15.0 mm apart: not clear")
+    assert statistics.seed_verdict("b", b, [[0.030, 0.040], [0.045, 0.055]], "c").endswith("15.0 mm apart: not clear")

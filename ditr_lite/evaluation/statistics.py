@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .summaries import bootstrap_mean, paired_bootstrap
+from ..summaries import bootstrap_mean, paired_bootstrap
 
 
 class SeedComparison(NamedTuple):

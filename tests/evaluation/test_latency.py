@@ -3,7 +3,7 @@ import time
 import pytest
 import torch
 
-from ditr_lite.latency import KINDS, REST, where_time_goes
+from ditr_lite.evaluation.latency import KINDS, REST, where_time_goes
 
 
 def test_every_operation_is_counted_where_it_belongs():

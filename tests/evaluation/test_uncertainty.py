@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ditr_lite import uncertainty as un
+from ditr_lite.evaluation import uncertainty as un
 
 
 @pytest.fixture(scope="module")

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 from tqdm.auto import tqdm
 
-from . import metrics, summaries
-from .baselines import REGISTRY, Fill, compose
-from .data import Sample
-from .pipeline import Completion, Ditr
+from .. import metrics, summaries
+from ..baselines import REGISTRY, Fill, compose
+from ..data import Sample
+from ..pipeline import Completion, Ditr
+from ..store import read_card
+from ..summaries import format_interval
+from ..units import clean_depth
 from .protocols import Protocol
 from .stage_one import PER_CLASS, STAGE_ONE, stage_one
-from .store import read_card
-from .summaries import format_interval
-from .units import clean_depth
 
 DITR, SENSOR = RESERVED = "ditr", "sensor"  # rows that are not methods
 COMPARED = ("optical", "optical_valid", "geometric")  # where differences get an interval

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite import boundary_scoring, store
+from ditr_lite import store
 from ditr_lite.boundary import ExactBoundary, boundaries_from_labels, depth_boundaries, get_backend, true_maps
 from ditr_lite.boundary.learned import build
-from ditr_lite.boundary_scoring import bench, canny, format_table, score_backends, summarise, tune_canny
 from ditr_lite.config import preset
 from ditr_lite.data import TRANSPARENT, Sample, list_samples, load_sample
+from ditr_lite.evaluation import boundary as boundary_scoring
+from ditr_lite.evaluation.boundary import bench, canny, format_table, score_backends, summarise, tune_canny
 
 
 @pytest.fixture(scope="module")

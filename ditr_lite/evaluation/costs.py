@@ -11,11 +11,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from .conditioning import CHANNELS
-from .config import Config
-from .detail import detail_input
-from .pipeline import BRANCHES, build
-from .unet import DenoisingUNet, count_flops
+from ..conditioning import CHANNELS
+from ..config import Config
+from ..detail import detail_input
+from ..pipeline import BRANCHES, build
+from ..unet import DenoisingUNet, count_flops
 
 Row = dict[str, Any]
 TABLE_VI = {"one": (43, 16), "two": (2256, 206)}  # the paper's milliseconds and GFLOPs of both stages

@@ -16,11 +16,11 @@ import numpy as np
 import torch
 from tqdm.auto import tqdm
 
-from .boundary import boundary_maps
-from .conditioning import condition, depth_bounds, depth_tensors, fit, to_tensor
-from .data import Sample
-from .pipeline import BRANCHES, Ditr
-from .unet import count_flops
+from ..boundary import boundary_maps
+from ..conditioning import condition, depth_bounds, depth_tensors, fit, to_tensor
+from ..data import Sample
+from ..pipeline import BRANCHES, Ditr
+from ..unet import count_flops
 
 MIN_RUNS = 5
 LARGE = (720, 1280)  # of Table VI

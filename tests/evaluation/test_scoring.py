@@ -5,23 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ditr_lite import (
-    baselines,
-    datasets,
-    evaluation,
-    latency,
-    metrics,
-    pipeline,
-    stage_one,
-    store,
-)
+from ditr_lite import baselines, datasets, metrics, pipeline, store
 from ditr_lite.config import preset
 from ditr_lite.data import Sample
-from ditr_lite.evaluation import format_report, run_methods, summary, to_json
+from ditr_lite.evaluation import latency, scoring, stage_one
+from ditr_lite.evaluation.protocols import CLEARGRASP, PROTOCOLS
+from ditr_lite.evaluation.scoring import format_report, run_methods, summary, to_json
 from ditr_lite.pipeline import Completion
-from ditr_lite.protocols import CLEARGRASP, PROTOCOLS
 
-REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
+REAL = Path(__file__).resolve().parents[3] / "shared" / "real"
 needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="no real frames beside the repository")
 SHAPE = (64, 96)
 
@@ -233,9 +225,9 @@ def test_json_holds_checksums_command_and_every_frame(tmp_path):
 def test_the_real_system_keeps_what_it_must(tiny):
     (result,) = run_methods([make_sample()], tiny, {}, steps=1, samples_per_frame=1, progress=False)
     assert result["kept"] and result["methods"]["ditr"]["whole"]["n"] == (SHAPE[0] - 1) * SHAPE[1]
-    assert evaluation.kept_bit_for_bit(tiny(make_sample().rgb, make_sample().depth, steps=1), make_sample().depth)
+    assert scoring.kept_bit_for_bit(tiny(make_sample().rgb, make_sample().depth, steps=1), make_sample().depth)
     adjusted = tiny(make_sample().rgb, make_sample().depth, make_sample().region, steps=1, adjust=True)
-    assert not evaluation.kept_bit_for_bit(adjusted, make_sample().depth)
+    assert not scoring.kept_bit_for_bit(adjusted, make_sample().depth)
 
 
 def test_readings_too_sparse_to_survive_resizing_do_not_stop_it(tiny):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ditr_lite.own_method import checked, find_method, find_methods
+from ditr_lite.evaluation.own_method import checked, find_method, find_methods
 
 RGB, DEPTH = np.zeros((4, 6, 3), np.uint8), np.full((4, 6), 0.5, np.float32)
 

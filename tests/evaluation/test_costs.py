@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite import costs, latency
 from ditr_lite.conditioning import CHANNELS
 from ditr_lite.config import override, preset
 from ditr_lite.data import Sample
+from ditr_lite.evaluation import costs, latency
 from ditr_lite.pipeline import Ditr, build
 
 PAPER = preset("paper")

@@ -6,10 +6,10 @@ Paper: Sec. IV-B, "the misclassified pixels can greatly harm the performance of 
 import numpy as np
 import torch
 
-from . import metrics
-from .conditioning import depth_bounds, depth_tensors, fit, to_tensor
-from .data import REFLECTIVE, TRANSPARENT, Sample
-from .pipeline import Completion, Ditr
+from .. import metrics
+from ..conditioning import depth_bounds, depth_tensors, fit, to_tensor
+from ..data import REFLECTIVE, TRANSPARENT, Sample
+from ..pipeline import Completion, Ditr
 
 STAGE_ONE = ("iou", "miss_rate", "area_ratio")  # of every frame; PER_CLASS where the materials are known
 CLASSES = {"transparent": TRANSPARENT, "reflective": REFLECTIVE}

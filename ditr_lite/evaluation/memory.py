@@ -12,9 +12,9 @@ from pathlib import Path
 import psutil
 import torch
 
+from ..data import Sample
+from ..pipeline import Ditr
 from . import latency
-from .data import Sample
-from .pipeline import Ditr
 
 INTERVAL_S = 0.002
 MEGABYTE = 1e6

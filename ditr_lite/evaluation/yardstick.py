@@ -11,13 +11,13 @@ from typing import Any
 import torch
 from torch import nn
 
-from .conditioning import CHANNELS
-from .data import SAMPLES
+from ..conditioning import CHANNELS
+from ..data import SAMPLES
+from ..pipeline import Ditr
+from ..training import recipes
+from ..training.batches import load_scenes
+from ..unet import count_flops
 from .latency import median_ms
-from .pipeline import Ditr
-from .training import recipes
-from .training.batches import load_scenes
-from .unet import count_flops
 
 NARROWER = 0.625  # the library puts more layers on a level: at this width it has as many parameters as ours
 

@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ditr_lite import __main__ as command_line
-from ditr_lite import audit, metrics, protocols
+from ditr_lite import audit, metrics
 from ditr_lite.data import Sample
-from ditr_lite.protocols import CLEARGRASP, PROTOCOLS, Protocol
+from ditr_lite.evaluation import protocols
+from ditr_lite.evaluation.protocols import CLEARGRASP, PROTOCOLS, Protocol
 
 SHAPE = (24, 32)
 

@@ -3,7 +3,7 @@ import importlib.util
 import pytest
 import torch
 
-from ditr_lite import yardstick
+from ditr_lite.evaluation import yardstick
 from ditr_lite.pipeline import Ditr
 
 

@@ -12,8 +12,8 @@ from math import inf
 import cv2
 import numpy as np
 
-from . import metrics
-from .data import Sample
+from .. import metrics
+from ..data import Sample
 
 PERFECT = {"rmse": 0.0, "mae": 0.0, "rel": 0.0, "d105": 100.0, "d110": 100.0, "d125": 100.0, "n": 0}
 

@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ditr_lite import draws, pipeline
+from ditr_lite import pipeline
 from ditr_lite.config import preset
 from ditr_lite.data import Sample
+from ditr_lite.evaluation import draws
 
 SHAPE = (64, 96)
 
