@@ -3,8 +3,8 @@
 import numpy as np
 
 from . import metrics
-from .audit import implied_weight
 from .checker import Function, check
+from .paper.audit import implied_weight
 
 
 def _maps(seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -97,15 +97,15 @@ completion.compose | test_completion.py::test_composition_follows_the_rule_pixel
 mask × depth splits to two branches; inside re-estimated, outside filled, the rest kept
 
 T1 | done | 07_metrics | 7 · Audit the paper's tables
-audit.audit_table | test_audit.py::test_the_impossible_rows_of_tables_1_and_2
+paper.audit.audit_table | paper/test_audit.py::test_the_impossible_rows_of_tables_1_and_2
 results on ClearGrasp
 
 T2 | done | 07_metrics | 7 · Audit the paper's tables
-audit.audit_table | test_audit.py::test_the_impossible_rows_of_tables_1_and_2
+paper.audit.audit_table | paper/test_audit.py::test_the_impossible_rows_of_tables_1_and_2
 results on TODD
 
 T3 | done | 07_metrics | Which δ did the tables use?
-audit.audit_table | test_audit.py::test_the_worded_delta_is_refuted_by_three_rows_of_table_3
+paper.audit.audit_table | paper/test_audit.py::test_the_worded_delta_is_refuted_by_three_rows_of_table_3
 results on STD
 
 T4 | done | 08_ablations | 2 · Climb the paper's ladder: BB, +DP, +RR
@@ -113,7 +113,7 @@ swaps.run | test_swaps.py::test_regions_are_what_they_are_called
 ablation: backbone, depth partition, region refinement
 
 T5 | done | 07_metrics | 7 · Audit the paper's tables
-audit.rank_orders | test_audit.py::test_six_orders_of_table_5
+paper.audit.rank_orders | paper/test_audit.py::test_six_orders_of_table_5
 error breakdown, geometric and optical
 
 T6 | done | 04_ddpm_math | What the paper's sizes cost

@@ -271,7 +271,7 @@ METRICS = [
     ),
     *family(
         "audit of tables",
-        "audit",
+        "paper/audit",
         ("RMSE and MAE swapped", 'v["mae"] - v["rmse"] > 2', 'v["rmse"] - v["mae"] > 2'),
         ("rounding: not allowed for", 'v["rmse"] > 2 * half + TINY', 'v["rmse"] > TINY'),
         ("shares: direction", "if a - b > 2 * half_share", "if b - a > 2 * half_share"),

@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ditr_lite import __main__ as command_line
-from ditr_lite import audit, metrics
+from ditr_lite import metrics
 from ditr_lite.data import Sample
 from ditr_lite.evaluation import protocols
 from ditr_lite.evaluation.protocols import CLEARGRASP, PROTOCOLS, Protocol
+from ditr_lite.paper import audit
 
 SHAPE = (24, 32)
 

@@ -2,7 +2,7 @@
 
 from test_notebooks import READING_ORDER
 
-from ditr_lite import findings, ledger
+from ditr_lite.paper import findings, ledger
 
 
 def test_there_are_twenty_entries_each_with_its_own_computation():

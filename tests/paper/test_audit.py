@@ -6,7 +6,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ditr_lite import audit, metrics, tables
+from ditr_lite import metrics
+from ditr_lite.paper import audit, tables
 
 RECORDS = {name: table.records() for name, table in tables.TABLES.items()}
 DEPTHS = arrays(np.float64, (2, 3, 4), elements=st.floats(0.2, 5.0))

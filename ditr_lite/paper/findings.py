@@ -10,15 +10,16 @@ import math
 import numpy as np
 import torch
 
-from . import audit, boundary, conditioning, diffusion, metrics, region
+from .. import boundary, conditioning, diffusion, metrics, region
+from ..data import SAMPLES, list_samples, load_sample
+from ..evaluation.costs import vit_flops
+from ..schedule import make_schedule
+from ..store import WEIGHTS
+from ..training.region_training import trosnet_learning_rate
+from ..unet import CrossAttentionFeatureQuery, CrossAttentionLatentQuery
+from . import audit
 from .audit import beaten_in, below_rel_floor, implied_weight, rank_orders
-from .data import SAMPLES, list_samples, load_sample
-from .evaluation.costs import vit_flops
-from .schedule import make_schedule
-from .store import WEIGHTS
 from .tables import SIZES, SIZES_ELSEWHERE, T1, T2, T3, T5, T6
-from .training.region_training import trosnet_learning_rate
-from .unet import CrossAttentionFeatureQuery, CrossAttentionLatentQuery
 
 RESULTS = WEIGHTS / "results_test.json"
 

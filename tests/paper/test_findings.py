@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from ditr_lite import findings
+from ditr_lite.paper import findings
 
 FIGURES = {  # what must stand in the sentence, whatever the weights
     findings.noise_scale: "1.00 and 1.00",

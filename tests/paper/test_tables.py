@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from ditr_lite import tables
+from ditr_lite.paper import tables
 from ditr_lite.summaries import METRICS
 
-SOURCE = Path(__file__).resolve().parents[2] / "shared" / "paper" / "ditr.tex"
+SOURCE = Path(__file__).resolve().parents[3] / "shared" / "paper" / "ditr.tex"
 needs_source = pytest.mark.skipif(not SOURCE.is_file(), reason="the paper's source is not beside the repository")
 LABELS = {
     "T1": "cg_result",
