@@ -12,7 +12,7 @@ import torch
 from .autoencoder import VectorQuantizer, VQAutoencoder
 from .checker import Function, check
 from .config import AutoencoderConfig
-from .floor import perplexity
+from .studies.floor import perplexity
 
 RNG = np.random.default_rng(7)
 CODES, OTHER_CODES = 3 * RNG.normal(size=(5, 2)), 3 * RNG.normal(size=(4, 3))  # of unlike length: |b|^2 matters

@@ -4,8 +4,8 @@ import numpy as np
 
 from .camera import shadow_width_px
 from .checker import Function, check
-from .loss_estimate import confusion
 from .loss_types import label, partition
+from .studies.loss_estimate import confusion
 
 
 def check_match(attempt: Function) -> bool:

@@ -70,8 +70,8 @@ def floor(args: Namespace) -> None:
     check_target(args.json, ".json")
     source, frames = chosen_frames(args)
     from .files import write_json
-    from .floor import format_floor, load_autoencoder, measure_floor
     from .store import read_card
+    from .studies.floor import format_floor, load_autoencoder, measure_floor
 
     report = measure_floor(frames, load_autoencoder(args.weights))
     print(f"{source}, ground truth encoded and decoded")
@@ -155,7 +155,7 @@ def experiment(args: Namespace, settings: dict[str, str], changes: dict[str, flo
     """Train the tiny preset as it is and with settings changed, score both on the same frames, and compare them."""
     from dataclasses import replace
 
-    from .experiment import QUICK, compare, format_comparison
+    from .studies.experiment import QUICK, compare, format_comparison
 
     if args.start:
         raise ValueError("a comparison trains both systems afresh: leave --start out, or train one --part with it")

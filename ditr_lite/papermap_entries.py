@@ -73,7 +73,7 @@ training.region_training.train_region | training/test_region_training.py::test_c
 training of stage one: SGD, batch 16, momentum 0.9, weight decay 1e-4, 200 epochs, a mixed learning rate
 
 S4 | done | 02_region_refinement | 9 · Send the final error back through everything
-training.finetune.finetune_region | training/test_finetune.py::test_finetuning_moves_the_region_to_where_the_final_depth_gains
+training.finetune.finetune_region | training/test_finetune.py::test_finetuning_moves_the_region_to_where_final_depth_gains
 fine-tuning: stage two frozen, the final RMSE added to the loss, 1e-3, 50 epochs
 
 S5 | done | 03_vq_autoencoder | 5 · Where the quantiser sits, and why diffusion cares
@@ -109,7 +109,7 @@ paper.audit.audit_table | paper/test_audit.py::test_the_worded_delta_is_refuted_
 results on STD
 
 T4 | done | 08_ablations | 2 · Climb the paper's ladder: BB, +DP, +RR
-swaps.run | test_swaps.py::test_regions_are_what_they_are_called
+studies.swaps.run | studies/test_swaps.py::test_regions_are_what_they_are_called
 ablation: backbone, depth partition, region refinement
 
 T5 | done | 07_metrics | 7 · Audit the paper's tables
@@ -125,7 +125,7 @@ simulator.cameras.measure | simulator/test_cameras.py::test_shipped_frames_show_
 generalisation without ground truth over four cameras
 
 A2 | done | 08_ablations | 8 · Search for failures
-failures.correlations | test_failures.py::test_correlations_are_taken_over_the_frames_in_both
+studies.failures.correlations | studies/test_failures.py::test_correlations_are_taken_over_the_frames_in_both
 failure cases: very large and overlapping objects
 
 F1 | done | 01_depth_loss_anatomy | Fig. 1 of the paper, from our frames
@@ -177,7 +177,7 @@ datasets.TROSD | datasets/test_datasets.py::test_every_reader
 generalisation on TROSD; our scenes under four simulated cameras
 
 F13 | done | 08_ablations | The worst ten
-failures.worst | test_failures.py::test_the_worst_come_first
+studies.failures.worst | studies/test_failures.py::test_the_worst_come_first
 failure cases
 
 C1 | done | 06_full_pipeline | 11 · Score it beside every baseline

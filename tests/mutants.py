@@ -328,7 +328,7 @@ PARTITION = [
     ),
     *family(
         "shadows measured",
-        "shadows",
+        "studies/shadows",
         ("moved the other way", "motion[0, 3] = offset_m", "motion[0, 3] = -offset_m"),
         ("raster not divided by", "(end - int(filled[-1])) / FINE", "(end - int(filled[-1]))"),
         ("near and far swapped", "shadow_width_px(near, far, offset_m", "shadow_width_px(near, 2 * far, offset_m"),
@@ -339,7 +339,7 @@ PARTITION = [
     ),
     *family(
         "loss types guessed",
-        "loss_estimate",
+        "studies/loss_estimate",
         ("inside: every reading believed", "depth > (1 - IN_FRONT) * surroundings", "depth < 0"),
         (
             "inside: in front means wrong",
@@ -390,7 +390,7 @@ REGION = [
     ),
     *family(
         "prices of mistakes",
-        "region_scores",
+        "studies/regions",
         ("missed: false alarms", "known & sample.region & ~region\n", "known & ~sample.region & region\n"),
         ("discarded: holes too", "~sample.region & (sample.depth > 0)", "~sample.region"),
         ("price: sign", "(error - base)[pixels]", "(base - error)[pixels]"),

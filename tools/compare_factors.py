@@ -20,7 +20,7 @@ from ditr_lite.conditioning import CHANNELS
 from ditr_lite.config import Config, override, preset
 from ditr_lite.data import list_samples, load_sample
 from ditr_lite.files import write_json
-from ditr_lite.floor import load_autoencoder, measure_floor
+from ditr_lite.studies.floor import load_autoencoder, measure_floor
 from ditr_lite.training import parts as fitting
 from ditr_lite.training.recipes import RECIPES
 from ditr_lite.unet import STRIDE, DenoisingUNet, count_flops

@@ -18,11 +18,12 @@ import numpy as np
 from tqdm.auto import tqdm
 
 import ditr_lite as dl
-from ditr_lite import region_scores, summaries
+from ditr_lite import summaries
 from ditr_lite.config import RefineConfig
 from ditr_lite.evaluation import stage_one
 from ditr_lite.files import write_json
 from ditr_lite.store import WEIGHTS, read_card
+from ditr_lite.studies import regions
 from ditr_lite.training import finetune
 from ditr_lite.training.batches import load_scenes
 
@@ -40,13 +41,13 @@ MEASURED = ("optical_m", "whole_m", "miss_rate", "area_ratio", "iou")
 
 def study_errors(ditr, samples) -> dict:
     """Return the cost of a region that is off, per offset: mean and 95 % interval over scenes, and every scene."""
-    rows = {s.name: region_scores.region_costs(ditr, s, OFFSETS) for s in tqdm(samples, desc="regions that are off")}
+    rows = {s.name: regions.region_costs(ditr, s, OFFSETS) for s in tqdm(samples, desc="regions that are off")}
     return _table(rows, [str(k) for k in OFFSETS], ("optical_m", "whole_m", "missed_m", "discarded_m"))
 
 
 def study_refinement(ditr, samples) -> dict:
     """Return what each setting of the refinement leads to, with the region that stage one finds."""
-    rows = {s.name: region_scores.refinement_costs(ditr, s, SETTINGS) for s in tqdm(samples, desc="refinements")}
+    rows = {s.name: regions.refinement_costs(ditr, s, SETTINGS) for s in tqdm(samples, desc="refinements")}
     names = [f"{r.median}/{r.dilate}/{r.iterations}" for r in SETTINGS]
     return _table(rows, names, ("miss_rate", "area_ratio", "optical_m", "whole_m"))
 

@@ -157,7 +157,7 @@ def test_the_painting_region_joins_found_and_true(scenes, parts, monkeypatch):
 
 
 @pytest.mark.parametrize("straight_through", [False, True])
-def test_finetuning_moves_the_region_to_where_the_final_depth_gains(scenes, parts, straight_through):
+def test_finetuning_moves_the_region_to_where_final_depth_gains(scenes, parts, straight_through):
     """All readings are off and the painting is right everywhere: the region should grow, whatever the labels say."""
     scenes = replace(scenes, depth=np.where(scenes.depth > 0, scenes.depth + 30, 0).astype(np.uint16))
     model = copy.deepcopy(parts["region"])

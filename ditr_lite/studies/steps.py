@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from . import metrics
-from .data import Sample
-from .evaluation.draws import flying_share
-from .summaries import bootstrap_mean, format_interval, paired_bootstrap
+from .. import metrics
+from ..data import Sample
+from ..evaluation.draws import flying_share
+from ..summaries import bootstrap_mean, format_interval, paired_bootstrap
 
 SETS = ("optical", "geometric")
 # steps -> (frames, members drawn for each): many steps are dear, so fewer frames are asked; rows say how many

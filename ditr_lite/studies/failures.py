@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from scipy.stats import rankdata
 
-from . import metrics
-from .conditioning import depth_bounds, fit
-from .data import Sample
-from .pipeline import Ditr
+from .. import metrics
+from ..conditioning import depth_bounds, fit
+from ..data import Sample
+from ..pipeline import Ditr
 
 MIN_PIXELS = 20  # fewer of an object are a sliver between others, not an object that is seen
 DESCRIBED = {  # what a frame is described by: name -> what it says

@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 from tqdm.auto import tqdm
 
-from . import metrics
-from .baselines import REGISTRY, compose
-from .data import Sample
-from .pipeline import Ditr
-from .units import clean_depth
+from .. import metrics
+from ..baselines import REGISTRY, compose
+from ..data import Sample
+from ..pipeline import Ditr
+from ..units import clean_depth
 
 Condition = Callable[[Sample, float], Sample]
 STEREO_NOISE = 0.004  # per metre: standard deviation of stereo depth is this times z squared, as in our scenes

@@ -12,13 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ditr_lite import data, floor, store
+from ditr_lite import data, store
 from ditr_lite.__main__ import main
 from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.conditioning import depth_bounds
 from ditr_lite.config import preset
+from ditr_lite.studies import floor
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 SHAPE = (32, 48)
 
 

@@ -10,13 +10,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from . import metrics
-from .conditioning import fit
-from .config import RefineConfig
-from .data import Sample
-from .evaluation.stage_one import class_map, mask_errors
-from .pipeline import Ditr
-from .region import refine_region
+from .. import metrics
+from ..conditioning import fit
+from ..config import RefineConfig
+from ..data import Sample
+from ..evaluation.stage_one import class_map, mask_errors
+from ..pipeline import Ditr
+from ..region import refine_region
 
 
 def offset_region(region: np.ndarray, pixels: int) -> np.ndarray:

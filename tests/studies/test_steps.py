@@ -3,8 +3,8 @@ import json
 import numpy as np
 import pytest
 
-from ditr_lite import steps_study as study
 from ditr_lite.data import load_sample
+from ditr_lite.studies import steps as study
 
 
 @pytest.fixture(scope="module")

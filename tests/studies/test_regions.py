@@ -4,10 +4,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ditr_lite import baselines, region_scores
+from ditr_lite import baselines
 from ditr_lite.config import RefineConfig, preset
 from ditr_lite.data import Sample
-from ditr_lite.region_scores import offset_region, refinement_costs, region_costs
+from ditr_lite.studies import regions
+from ditr_lite.studies.regions import offset_region, refinement_costs, region_costs
 
 SHAPE = (64, 96)
 
@@ -65,7 +66,7 @@ def test_a_frame_that_cannot_be_priced_is_refused(gone):
 def test_refinements_are_compared_on_what_stage_one_finds(monkeypatch):
     sample = frame()
     shrunk = offset_region(sample.region, -2).astype(np.uint8)
-    monkeypatch.setattr(region_scores, "class_map", lambda *_: shrunk)
+    monkeypatch.setattr(regions, "class_map", lambda *_: shrunk)
     settings = [RefineConfig(0, 0, 0), RefineConfig(3, 3, 2), RefineConfig(7, 5, 3)]
     none, exact, paper = refinement_costs(Painter(), sample, settings)
     assert none["miss_rate"] == pytest.approx(1 - 16 * 26 / 600) and none["area_ratio"] == pytest.approx(16 * 26 / 600)

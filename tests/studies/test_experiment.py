@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite import experiment
 from ditr_lite.config import preset
 from ditr_lite.data import SAMPLES
-from ditr_lite.experiment import QUICK, TOUCHES, compare, format_comparison, touched
 from ditr_lite.store import load_part, read_card
+from ditr_lite.studies import experiment
+from ditr_lite.studies.experiment import QUICK, TOUCHES, compare, format_comparison, touched
 from ditr_lite.training.parts import PARTS
 
 TINY = preset("tiny")

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from .evaluation.statistics import SeedComparison, compare_seeds
+from ..evaluation.statistics import SeedComparison, compare_seeds
+from ..store import WEIGHTS
 from .experiment import compare
-from .store import WEIGHTS
 
 RESULTS = WEIGHTS / "results_settings.json"
 DEFAULT = "the default"
@@ -41,7 +41,7 @@ def run(
         settings: name -> dotted setting -> value.
         seeds: of training.
         save: called with the rows so far after every training.
-        how: passed to :func:`experiment.compare`: data, folder, limit, ...
+        how: passed to :func:`studies.experiment.compare`: data, folder, limit, ...
 
     Returns:
         name -> ``settings``, ``seconds`` (of training, per seed) and ``rmse_m``: pixel set -> seed -> one value a frame

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .camera import FACET_STEP, Camera, reproject, shadow_width_px
-from .data import Sample
-from .units import check_depth
+from ..camera import FACET_STEP, Camera, reproject, shadow_width_px
+from ..data import Sample
+from ..units import check_depth
 
 FINE = 4  # the gaps are measured on a raster this many times finer than the picture
 

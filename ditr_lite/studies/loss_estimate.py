@@ -12,10 +12,10 @@ from enum import IntEnum
 import cv2
 import numpy as np
 
-from .baselines import harmonic
-from .camera import FACET_STEP, Camera, Stereo, reproject
-from .loss_types import Cause, LossType
-from .units import check_depth, check_mask
+from ..baselines import harmonic
+from ..camera import FACET_STEP, Camera, Stereo, reproject
+from ..loss_types import Cause, LossType
+from ..units import check_depth, check_mask
 
 # Chosen on the validation split.
 IN_FRONT = 0.05  # a reading this share nearer than what surrounds the region is taken for the object itself

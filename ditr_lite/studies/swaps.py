@@ -13,13 +13,13 @@ import numpy as np
 from torch import nn
 from tqdm.auto import tqdm
 
-from . import metrics
-from .boundary import M_DA, M_RGB
-from .config import RefineConfig
-from .data import Sample
-from .paper.tables import T1, T5
-from .pipeline import BRANCHES, Ditr
-from .summaries import bootstrap_mean, paired_bootstrap
+from .. import metrics
+from ..boundary import M_DA, M_RGB
+from ..config import RefineConfig
+from ..data import Sample
+from ..paper.tables import T1, T5
+from ..pipeline import BRANCHES, Ditr
+from ..summaries import bootstrap_mean, paired_bootstrap
 
 SCORED = ("optical", "geometric", "outside", "whole")
 PARTS = ("geometric", "optical", "whole")  # Table V's two, and Table I's

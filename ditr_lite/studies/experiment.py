@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from .config import Config, override, preset, to_dict
-from .data import SAMPLES, read_sample
-from .evaluation.scoring import DITR, run_methods
-from .pipeline import Ditr, build
-from .store import CARD, load_part, read_card, save_part
-from .summaries import format_interval, paired_bootstrap
-from .training.batches import Scenes, checksum, first, join, load_scenes, shrink
-from .training.loop import Recipe
-from .training.parts import PARTS, check_same_system, folder_name, train_on
+from ..config import Config, override, preset, to_dict
+from ..data import SAMPLES, read_sample
+from ..evaluation.scoring import DITR, run_methods
+from ..pipeline import Ditr, build
+from ..store import CARD, load_part, read_card, save_part
+from ..summaries import format_interval, paired_bootstrap
+from ..training.batches import Scenes, checksum, first, join, load_scenes, shrink
+from ..training.loop import Recipe
+from ..training.parts import PARTS, check_same_system, folder_name, train_on
 
 SCORED = ("optical", "geometric")  # Table V's two kinds of loss
 QUICK = {
@@ -232,7 +232,7 @@ def _key(config: Config, scenes: Scenes, recipes: Mapping[str, Recipe], *others:
     rates = {part: asdict(r) for part, r in recipes.items()}
     plain = [to_dict(config), rates, checksum(scenes), others, torch.__version__]
     digest = hashlib.sha256(json.dumps(plain).encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
+    for source in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(source.read_bytes())
     return digest.hexdigest()
 

@@ -14,13 +14,13 @@ import torch
 from torch import Tensor
 from tqdm.auto import tqdm
 
-from .autoencoder import VQAutoencoder, depth_steps
-from .conditioning import depth_bounds, fill
-from .config import from_dict
-from .data import Sample
-from .metrics import pixel_sets
-from .store import load_part, read_card
-from .summaries import bootstrap_mean, format_interval
+from ..autoencoder import VQAutoencoder, depth_steps
+from ..conditioning import depth_bounds, fill
+from ..config import from_dict
+from ..data import Sample
+from ..metrics import pixel_sets
+from ..store import load_part, read_card
+from ..summaries import bootstrap_mean, format_interval
 
 EDGE = 0.05  # relative step between neighbours from which a pixel lies at a depth edge
 SETS = ("whole", "optical", "geometric", "edge", "interior")

@@ -8,8 +8,8 @@ from hypothesis.extra.numpy import arrays
 
 import ditr_lite as dl
 from ditr_lite.camera import Camera, Stereo, reproject
-from ditr_lite.loss_estimate import confusion, estimate_cause, estimate_loss
 from ditr_lite.loss_types import Cause, LossType
+from ditr_lite.studies.loss_estimate import confusion, estimate_cause, estimate_loss
 
 CAMERA = Camera(190.0, 190.0, 79.5, 59.5, 160, 120)
 

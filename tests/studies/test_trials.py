@@ -2,8 +2,8 @@ import json
 
 import pytest
 
-from ditr_lite import trials
 from ditr_lite.store import WEIGHTS
+from ditr_lite.studies import trials
 
 
 def test_what_was_tried_is_what_the_results_say():

@@ -5,7 +5,7 @@ import pytest
 
 import ditr_lite as dl
 from ditr_lite.camera import Camera
-from ditr_lite.shadows import Shadows, measure_scenes, measure_shadows
+from ditr_lite.studies.shadows import Shadows, measure_scenes, measure_shadows
 
 CAMERA = Camera(200.0, 200.0, 99.5, 31.5, 200, 64)
 OFFSETS = (0.01, 0.02, 0.04, 0.08)

@@ -1,8 +1,8 @@
 import pytest
 
-from ditr_lite import setting_study as ss
 from ditr_lite.config import override, preset
-from ditr_lite.experiment import touched
+from ditr_lite.studies import settings as ss
+from ditr_lite.studies.experiment import touched
 
 TINY = preset("tiny")
 

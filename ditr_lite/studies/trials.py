@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .config import from_dict, override, preset
-from .evaluation.costs import costs
-from .setting_study import DEFAULT, against_default, errors
-from .store import WEIGHTS, read_card
-from .summaries import format_interval, paired_bootstrap
+from ..config import from_dict, override, preset
+from ..evaluation.costs import costs
+from ..store import WEIGHTS, read_card
+from ..summaries import format_interval, paired_bootstrap
+from .settings import DEFAULT, against_default, errors
 
 
 class Trial(NamedTuple):

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite import boundary, metrics, pipeline, swaps
+from ditr_lite import boundary, metrics, pipeline
 from ditr_lite.config import RefineConfig, preset
 from ditr_lite.data import Sample
-from ditr_lite.swaps import SWAPS, Swap, Swapped
+from ditr_lite.studies import swaps
+from ditr_lite.studies.swaps import SWAPS, Swap, Swapped
 
 SHAPE = (64, 96)
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ditr_lite import failures, pipeline
+from ditr_lite import pipeline
 from ditr_lite.config import preset
 from ditr_lite.data import Sample
+from ditr_lite.studies import failures
 
 SHAPE = (64, 96)
 

@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ditr_lite import pipeline, robustness, store
+from ditr_lite import pipeline, store
 from ditr_lite.config import preset
 from ditr_lite.data import list_samples, load_sample
-from ditr_lite.robustness import CONDITIONS
+from ditr_lite.studies import robustness
+from ditr_lite.studies.robustness import CONDITIONS
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 RESULT = store.WEIGHTS / "results_robustness.json"
 SCENE = load_sample(list_samples("val")[1])
 CASES = [(name, strength) for name, (_, strengths, _, _) in CONDITIONS.items() for strength in strengths]
