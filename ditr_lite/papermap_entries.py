@@ -185,15 +185,15 @@ baselines.keep_and_fill | test_baselines.py::test_keeping_keeps_readings_inside
 DeepCompletion; the idea: trust every reading, solve for the smoothest surface in the holes
 
 C2 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
-peers.PixelUNet | test_peers.py::test_colour_alone_looks_at_no_depth
+peers.networks.PixelUNet | peers/test_networks.py::test_colour_alone_looks_at_no_depth
 DenseDepth; the idea: regress depth from colour alone
 
 C3 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
-peer_study.methods | test_peer_study.py::test_every_method_is_asked_about_every_frame
+peers.compare.methods | peers/test_compare.py::test_every_method_is_asked_about_every_frame
 SRD; the idea: segment what the sensor gets wrong, then regress (a peer, composed with the region)
 
 C4 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
-peers.aligned | test_peers.py::test_alignment_undoes_a_scale_and_a_shift
+peers.networks.aligned | peers/test_networks.py::test_alignment_undoes_a_scale_and_a_shift
 MiDaS; the idea: depth from colour up to scale and shift
 
 C5 | done | 04_ddpm_math | Who asks whom?
@@ -221,6 +221,6 @@ C10 | left out | - | -
 DepthGrasp; the idea: let a critic tell completed depth from real
 
 C11 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
-peers.predicted_depth | test_peers.py::test_confidence_decides_between_prediction_and_sensor
+peers.networks.predicted_depth | peers/test_networks.py::test_confidence_decides_between_prediction_and_sensor
 SwinDRNet; the idea: fuse colour and depth by confidence
 """

@@ -25,19 +25,20 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from . import diffusion, peers
-from .autoencoder import VQAutoencoder
-from .config import Config, preset
-from .files import write_json
-from .pipeline import build
-from .schedule import make_schedule
-from .store import WEIGHTS, load_part, save_part
-from .training import recipes
-from .training.batches import Batch, Scenes, checksum, draw, first, load_scenes
-from .training.loop import Recipe, fit
+from .. import diffusion
+from ..autoencoder import VQAutoencoder
+from ..config import Config, preset
+from ..files import write_json
+from ..pipeline import build
+from ..schedule import make_schedule
+from ..store import WEIGHTS, load_part, save_part
+from ..training import recipes
+from ..training.batches import Batch, Scenes, checksum, draw, first, load_scenes
+from ..training.loop import Recipe, fit
+from . import networks
 
 ARMS = {
-    **{name: {name: 1.0} for name in peers.NAMES},
+    **{name: {name: 1.0} for name in networks.NAMES},
     "dp": {"optical": 0.5, "geometric": 0.5},
     "ditr": {"optical": 0.42, "geometric": 0.25, "detail": 0.33},
 }
@@ -92,9 +93,9 @@ def train_arm(
     entries = {}
     for name, share in ARMS[arm].items():
         torch.manual_seed(seed)
-        net = parts[name] if name in parts else peers.build_peer(name, config)
+        net = parts[name] if name in parts else networks.build_peer(name, config)
         net = net.to(memory_format=torch.channels_last)
-        tag = name if arm in peers.NAMES else f"{arm}_{name}"
+        tag = name if arm in networks.NAMES else f"{arm}_{name}"
         # data for the detail network is painted by the branches that this arm has just trained
         for other in ("optical", "geometric") if name == "detail" else ():
             parts[other].eval().requires_grad_(False)
@@ -124,7 +125,7 @@ def step_times(file: Path, scenes: Scenes, config: Config, autoencoder: VQAutoen
     if not file.is_file():
         parts = build(config)
         parts["autoencoder"] = autoencoder
-        nets = {name: peers.build_peer(name, config) for name in peers.NAMES}
+        nets = {name: networks.build_peer(name, config) for name in networks.NAMES}
         nets |= {name: net for name, net in parts.items() if name in OWN}
         losses = {name: _step_loss(name, net, parts, scenes, config, 0) for name, net in nets.items()}
         took: dict[str, list[float]] = {name: [] for name in nets}
@@ -154,14 +155,14 @@ def peer_step(name: str, net: nn.Module, scenes: Scenes, seed: int = 0) -> Calla
     def step_loss(step: int) -> dict[str, Tensor]:
         rng = recipes.rng_of(seed, step)
         batch = draw(scenes, rng.integers(0, len(scenes), RECIPE.batch), rng)
-        image = peers.network_input(name, batch.rgb, batch.depth_n, batch.valid)
+        image = networks.network_input(name, batch.rgb, batch.depth_n, batch.valid)
         out = net(image.contiguous(memory_format=torch.channels_last))
         if name == "normals_optimisation":
             return orientation_loss(out, batch, scenes)
         if name == "rgb_only":
-            error = peers.TYPICAL_M * out.exp() - true_metres(batch, scenes)
+            error = networks.TYPICAL_M * out.exp() - true_metres(batch, scenes)
         else:
-            depth = peers.predicted_depth(name, out, batch.depth_n, batch.valid)
+            depth = networks.predicted_depth(name, out, batch.depth_n, batch.valid)
             error = (depth - batch.gt_n) * batch.scale_m
         return depth_loss(error, batch)
 
@@ -212,7 +213,7 @@ def single_step(
     def step_loss(step: int) -> dict[str, Tensor]:
         rng = recipes.rng_of(seed, step)
         batch = draw(scenes, rng.integers(0, len(scenes), RECIPE.batch), rng)
-        image, filled, known = peers.single_latent_input(batch.rgb, batch.depth_n, batch.valid, batch.guide_rgb)
+        image, filled, known = networks.single_latent_input(batch.rgb, batch.depth_n, batch.valid, batch.guide_rgb)
         with torch.no_grad():
             masked = autoencoder.encode(filled)
         x0 = targets[batch.index, batch.flipped.astype(int)].float()

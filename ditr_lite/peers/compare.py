@@ -12,18 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from . import metrics
-from .baselines import REGISTRY, compose
-from .completion import Completion
-from .config import from_dict
-from .data import Sample
-from .paper.tables import T1, T4, T5
-from .peers import load_peers
-from .pipeline import Ditr, build
-from .store import WEIGHTS, load_part, load_parts, read_card
-from .studies.floor import reconstruct
-from .studies.swaps import SWAPS, Swapped
-from .summaries import bootstrap_mean, format_interval, paired_bootstrap, ratio_bootstrap
+from .. import metrics
+from ..baselines import REGISTRY, compose
+from ..completion import Completion
+from ..config import from_dict
+from ..data import Sample
+from ..paper.tables import T1, T4, T5
+from ..pipeline import Ditr, build
+from ..store import WEIGHTS, load_part, load_parts, read_card
+from ..studies.floor import reconstruct
+from ..studies.swaps import SWAPS, Swapped
+from ..summaries import bootstrap_mean, format_interval, paired_bootstrap, ratio_bootstrap
+from .networks import load_peers
 
 RESULTS = WEIGHTS / "results_peers.json"
 SETS = ("optical", "geometric", "whole")

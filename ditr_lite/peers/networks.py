@@ -23,17 +23,17 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .autoencoder import VQAutoencoder
-from .baselines import Fill
-from .boundary import boundary_maps, get_backend
-from .conditioning import CHANNELS, Bounds, condition, depth_bounds, depth_tensors, fill, fit, to_tensor
-from .config import Config, from_dict
-from .diffusion import sample
+from ..autoencoder import VQAutoencoder
+from ..baselines import Fill
+from ..boundary import boundary_maps, get_backend
+from ..conditioning import CHANNELS, Bounds, condition, depth_bounds, depth_tensors, fill, fit, to_tensor
+from ..config import Config, from_dict
+from ..diffusion import sample
+from ..region import Encoder
+from ..schedule import make_schedule
+from ..store import load_part, read_card
+from ..unet import DenoisingUNet, norm
 from .gradient_solve import solve
-from .region import Encoder
-from .schedule import make_schedule
-from .store import load_part, read_card
-from .unet import DenoisingUNet, norm
 
 WIDTH, LEVELS = 16, 5  # of the U-Nets at pixel size
 TYPICAL_M = 0.7  # rgb_only begins here

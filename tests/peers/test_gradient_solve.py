@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ditr_lite.gradient_solve import log_gradients, solve
+from ditr_lite.peers.gradient_solve import log_gradients, solve
 
 
 @pytest.fixture

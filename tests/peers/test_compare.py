@@ -3,12 +3,12 @@ import json
 import numpy as np
 import pytest
 
-from ditr_lite import peer_study, peers
+from ditr_lite.peers import compare, networks
 
 RNG = np.random.default_rng(0)
 LEVELS = {  # method -> RMSE in metres about which its frames lie
-    peer_study.SHIPPED: 0.030,
-    peer_study.EQUAL: 0.040,
+    compare.SHIPPED: 0.030,
+    compare.EQUAL: 0.040,
     "true region": 0.020,
     "no detail network": 0.035,
     "truth through the autoencoder": 0.010,
@@ -32,14 +32,14 @@ def scores():
     for i in range(20):
         hard = RNG.uniform(0.5, 1.5)
         frames[f"f{i}"] = {
-            n: {k: None if k == "optical" and i == 3 else hard * v for k in peer_study.SETS} for n, v in LEVELS.items()
+            n: {k: None if k == "optical" and i == 3 else hard * v for k in compare.SETS} for n, v in LEVELS.items()
         }
     return frames
 
 
 @pytest.fixture(scope="module")
 def report(scores):
-    return peer_study.summarise(scores)
+    return compare.summarise(scores)
 
 
 def test_ratios_and_changes_are_those_of_the_means(report):
@@ -51,11 +51,11 @@ def test_ratios_and_changes_are_those_of_the_means(report):
 
 
 def test_every_idea_is_a_peer():
-    assert set(peer_study.IDEAS) == {*peers.NAMES, "rgb_only_aligned"}
+    assert set(compare.IDEAS) == {*networks.NAMES, "rgb_only_aligned"}
 
 
 def test_errors_by_seed_leave_out_frames_without_such_pixels(report, scores):
-    errors = peer_study.by_seed({**report, "rmse_m": scores}, "BB", "optical")
+    errors = compare.by_seed({**report, "rmse_m": scores}, "BB", "optical")
     assert errors.shape == (2, 19) and np.allclose(errors[1] / errors[0], 62 / 60)
 
 
@@ -69,7 +69,7 @@ def test_errors_by_seed_leave_out_frames_without_such_pixels(report, scores):
     ],
 )
 def test_the_verdict_follows_the_interval(report, ratio, said):
-    optical, whole = peer_study.verdict(
+    optical, whole = compare.verdict(
         {**report, "ratio": {"regression": {"optical": ratio, "whole": (0.9, 0.7, 1.1)}}}
     ).splitlines()
     lies = "above" if ratio[2] < 0.73 else "below" if ratio[1] > 0.74 else "inside"
@@ -80,27 +80,27 @@ def test_the_verdict_follows_the_interval(report, ratio, said):
 
 
 def test_like_is_compared_with_like():
-    assert {k: round(ratio, 2) for k, (ratio, _) in peer_study.PAPER.items()} == {"optical": 0.73, "whole": 0.76}
+    assert {k: round(ratio, 2) for k, (ratio, _) in compare.PAPER.items()} == {"optical": 0.73, "whole": 0.76}
 
 
 def test_tables_name_every_row_and_survive_json(report):
     again = json.loads(json.dumps(report))
-    peers, ablation, oracles = (
-        f(again) for f in (peer_study.format_peers, peer_study.format_ablation, peer_study.format_oracles)
+    networks, ablation, oracles = (
+        f(again) for f in (compare.format_peers, compare.format_ablation, compare.format_oracles)
     )
     assert (
-        "regression, bare" in peers
-        and peer_study.EQUAL in peers
-        and "harmonic" in peers
-        and "0.89 [0.89, 0.89]" in peers
+        "regression, bare" in networks
+        and compare.EQUAL in networks
+        and "harmonic" in networks
+        and "0.89 [0.89, 0.89]" in networks
     )
     assert ablation.count("seed 1") == 3 and ablation.count("-25 [-25, -25] %") == 2 and "IV: -33 %, -5 %" in ablation
-    assert all(name in oracles for name in peer_study.ORACLES)
+    assert all(name in oracles for name in compare.ORACLES)
 
 
 def test_a_study_needs_trained_arms(tmp_path):
     with pytest.raises(ValueError, match="no weights in"):
-        peer_study.arm_system(tmp_path, "dp", 0)
+        compare.arm_system(tmp_path, "dp", 0)
 
 
 def test_every_method_is_asked_about_every_frame():
@@ -109,5 +109,5 @@ def test_every_method_is_asked_about_every_frame():
 
     ditr, sample = Ditr.from_pretrained(), load_sample("val_00000")
     rows = {"ditr": lambda s, out: out.depth, "truth": lambda s, out: np.where(s.depth_gt > 0, s.depth_gt, 1)}
-    (found,) = peer_study.run([sample], ditr, rows).values()
+    (found,) = compare.run([sample], ditr, rows).values()
     assert set(found) == {"ditr", "truth"} and found["truth"]["optical"] == 0 < found["ditr"]["optical"]

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite import peer_training as pt
-from ditr_lite import peers
 from ditr_lite.config import preset
 from ditr_lite.data import SAMPLES
+from ditr_lite.peers import networks
+from ditr_lite.peers import train as pt
 from ditr_lite.pipeline import build
 from ditr_lite.store import read_card, save_part
 from ditr_lite.training.batches import draw, load_scenes
@@ -30,7 +30,7 @@ def scenes(tmp_path_factory):
 
 def run(arm, folder, weights, minutes=1e-4, seconds_a_step=0.01):
     (folder / "out").mkdir(exist_ok=True)
-    (folder / "out" / "times.json").write_text(json.dumps(dict.fromkeys([*peers.NAMES, *pt.OWN], seconds_a_step)))
+    (folder / "out" / "times.json").write_text(json.dumps(dict.fromkeys([*networks.NAMES, *pt.OWN], seconds_a_step)))
     return pt.train_arm(arm, minutes, 0, DATA, folder / "out", folder / "work", 2, TINY, weights)
 
 
@@ -55,7 +55,7 @@ def test_steps_follow_from_the_time_of_one(tmp_path, weights):
 
 def test_all_networks_are_timed_in_turn(tmp_path, scenes):
     times = pt.step_times(tmp_path / "times.json", scenes, TINY, build(TINY)["autoencoder"], rounds=1)
-    assert set(times) == {*peers.NAMES, *pt.OWN} and min(times.values()) > 0
+    assert set(times) == {*networks.NAMES, *pt.OWN} and min(times.values()) > 0
     kept = {name: 1.0 for name in times}
     (tmp_path / "times.json").write_text(json.dumps(kept))
     assert pt.step_times(tmp_path / "times.json", scenes, TINY, None) == kept
@@ -90,7 +90,7 @@ def test_a_perfect_prediction_scores_next_to_nothing(scenes):
 
 
 def test_every_peer_has_a_loss(scenes):
-    batch_names = [name for name in peers.NAMES if name != "single_latent_diffusion"]
+    batch_names = [name for name in networks.NAMES if name != "single_latent_diffusion"]
     for name in batch_names:
-        loss = pt.peer_step(name, peers.build_peer(name, TINY), scenes)(0)
+        loss = pt.peer_step(name, networks.build_peer(name, TINY), scenes)(0)
         assert torch.isfinite(loss["total"])

@@ -2,23 +2,24 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite import baselines, peers
+from ditr_lite import baselines
 from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.config import preset
 from ditr_lite.data import load_sample
+from ditr_lite.peers import networks
 from ditr_lite.store import save_part
 
 TINY = preset("tiny")
-ALL = (*peers.NAMES, "rgb_only_aligned")
+ALL = (*networks.NAMES, "rgb_only_aligned")
 
 
 def make(name):
     torch.manual_seed(0)
-    net = peers.build_peer(name.removesuffix("_aligned"), TINY)
+    net = networks.build_peer(name.removesuffix("_aligned"), TINY)
     for p in net.parameters():
         torch.nn.init.normal_(p, std=0.02)
     autoencoder = VQAutoencoder(TINY.autoencoder).eval() if name == "single_latent_diffusion" else None
-    return peers.Peer(name, net, TINY, autoencoder)
+    return networks.Peer(name, net, TINY, autoencoder)
 
 
 @pytest.fixture(scope="module")
@@ -45,14 +46,14 @@ def test_colour_alone_looks_at_no_depth(frame):
 def test_alignment_undoes_a_scale_and_a_shift():
     truth = np.random.default_rng(0).uniform(0.4, 0.9, (12, 16)).astype(np.float32)
     readings = np.where(truth > 0.6, truth, 0)
-    assert np.allclose(peers.aligned(2 * truth - 0.3, readings), truth, atol=1e-5)
+    assert np.allclose(networks.aligned(2 * truth - 0.3, readings), truth, atol=1e-5)
 
 
 def test_confidence_decides_between_prediction_and_sensor():
     depth_n, valid = torch.full((1, 1, 4, 4), 0.5), torch.ones(1, 1, 4, 4)
     out = torch.zeros(1, 3, 4, 4)
     out[:, 0], out[:, 1, :2], out[:, 2, 2:] = -1, 50, 50
-    depth = peers.predicted_depth("two_stream_confidence", out, depth_n, valid)
+    depth = networks.predicted_depth("two_stream_confidence", out, depth_n, valid)
     assert torch.allclose(depth[..., :2, :], torch.tensor(-1.0)) and torch.allclose(
         depth[..., 2:, :], torch.tensor(0.5)
     )
@@ -62,7 +63,7 @@ def test_confidence_decides_between_prediction_and_sensor():
 def test_an_output_that_is_no_normalised_depth_is_refused(name):
     one = torch.ones(1, 1, 4, 4)
     with pytest.raises(ValueError, match=f"expected regression or two_stream_confidence, got '{name}'"):
-        peers.predicted_depth(name, one, one, one)
+        networks.predicted_depth(name, one, one, one)
 
 
 def test_readings_inside_the_region_do_not_steer_the_solve(frame):
@@ -75,10 +76,10 @@ def test_readings_inside_the_region_do_not_steer_the_solve(frame):
 def test_peers_are_loaded_from_their_folder(tmp_path, frame):
     net = make("rgb_only").net
     save_part("rgb_only-0", net.state_dict(), TINY, tmp_path, {"minutes": 1})
-    found = peers.load_peers(tmp_path)
+    found = networks.load_peers(tmp_path)
     assert set(found) == {"rgb_only", "rgb_only_aligned"}
     assert np.abs(found["rgb_only"](frame.rgb, frame.depth) - make("rgb_only")(frame.rgb, frame.depth)).max() < 0.01
     with pytest.raises(ValueError, match="no peers of seed 3"):
-        peers.load_peers(tmp_path, seed=3)
+        networks.load_peers(tmp_path, seed=3)
     with pytest.raises(ValueError, match="unknown peer 'oracle'"):
-        peers.build_peer("oracle", TINY)
+        networks.build_peer("oracle", TINY)
