@@ -58,7 +58,7 @@ def test_a_dead_link_is_named_unless_left_out(change, message):
 
 def test_a_cell_id_and_an_assigned_test_are_found_too():
     assert papermap.problems(replace(GOOD, anchor="cell-012"), ROOT) == []
-    assert papermap.has_test(ROOT / "tests", "test_checks.py::test_a_planted_mistake_is_named")
+    assert papermap.has_test(ROOT / "tests", "exercises/test_start.py::test_a_planted_mistake_is_named")
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from checker_cases import checker_tests
 
-from ditr_lite import checks_diffusion as checks
+from ditr_lite.exercises import diffusion as checks
 
 
 def q_sample(x0, eps, abar):

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import torch
 
-from . import metrics
+from .. import metrics
+from ..config import RefineConfig
+from ..region import CrossModalFusion, refine_region
+from ..training.finetune import soft_compose, soft_region
+from ..training.region_training import paper_learning_rate
 from .checker import Function, check
-from .config import RefineConfig
-from .region import CrossModalFusion, refine_region
-from .training.finetune import soft_compose, soft_region
-from .training.region_training import paper_learning_rate
 
 RNG = np.random.default_rng(2)
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from . import metrics
+from .. import metrics
+from ..paper.audit import implied_weight
 from .checker import Function, check
-from .paper.audit import implied_weight
 
 
 def _maps(seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -5,8 +5,8 @@ The right answers come from ``boundary`` and ``boundary_sam``, the files that th
 
 import numpy as np
 
-from .boundary import boundaries_from_labels, depth_aware, depth_boundaries, precision_recall_f, within
-from .boundary.sam import outlines, suppress
+from ..boundary import boundaries_from_labels, depth_aware, depth_boundaries, precision_recall_f, within
+from ..boundary.sam import outlines, suppress
 from .checker import Function, check
 
 LABELS = np.zeros((9, 12), int)  # two objects that touch, one of them behind both sides of the frame; a small one

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from ditr_lite import checks_loss as checks
+from ditr_lite.exercises import loss as checks
 
 
 def match(left, right, row, column, half, largest):

@@ -11,9 +11,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from . import diffusion
+from .. import diffusion
+from ..schedule import NoiseSchedule
 from .checker import Function, check
-from .schedule import NoiseSchedule
 
 CLEAN, NOISY = np.random.default_rng(4).normal(0, 1.3, (2, 8))  # float64 (8,), any numbers will do
 

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 from checker_cases import checker_tests
 
-from ditr_lite import checks_metrics as checks
+from ditr_lite.exercises import metrics as checks
 
 
 def rel(pred, gt):

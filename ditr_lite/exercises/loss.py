@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from .camera import shadow_width_px
+from ..camera import shadow_width_px
+from ..loss_types import label, partition
+from ..studies.loss_estimate import confusion
 from .checker import Function, check
-from .loss_types import label, partition
-from .studies.loss_estimate import confusion
 
 
 def check_match(attempt: Function) -> bool:

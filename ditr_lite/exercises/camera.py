@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from .camera import Camera
+from ..camera import Camera
+from ..units import clean_depth
 from .checker import Function, check
-from .units import clean_depth
 
 RNG = np.random.default_rng(9)
 RAW = RNG.integers(200, 3000, (4, 6)).astype(np.uint16)

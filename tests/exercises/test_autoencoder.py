@@ -6,7 +6,7 @@ Answers and mistakes are written here as a learner would write them, not taken f
 import numpy as np
 from checker_cases import checker_tests
 
-from ditr_lite import checks_autoencoder as checks
+from ditr_lite.exercises import autoencoder as checks
 
 
 def conv_size(n, kernel, stride, padding):

@@ -3,7 +3,7 @@
 import numpy as np
 from checker_cases import checker_tests
 
-from ditr_lite import checks_camera as checks
+from ditr_lite.exercises import camera as checks
 
 
 def to_metres(raw, scale):

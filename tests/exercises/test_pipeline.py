@@ -4,8 +4,8 @@ import numpy as np
 import torch
 from checker_cases import checker_tests
 
-from ditr_lite import checks_pipeline as checks
 from ditr_lite import completion, conditioning
+from ditr_lite.exercises import pipeline as checks
 from ditr_lite.unet import count_flops
 
 

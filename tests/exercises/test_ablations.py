@@ -4,7 +4,7 @@ import numpy as np
 from checker_cases import checker_tests
 from scipy import stats
 
-from ditr_lite import checks_ablations as checks
+from ditr_lite.exercises import ablations as checks
 
 
 def paired(formula):

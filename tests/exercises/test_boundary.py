@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from ditr_lite import boundary
-from ditr_lite import checks_boundary as checks
 from ditr_lite.boundary import sam
+from ditr_lite.exercises import boundary as checks
 
 
 def shifts(array, **pad):

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.stats import rankdata
 
+from ..evaluation.draws import reliability
+from ..evaluation.statistics import compare_seeds
+from ..studies import failures
 from .checker import Function, check
-from .evaluation.draws import reliability
-from .evaluation.statistics import compare_seeds
-from .studies import failures
 
 
 def check_paired_mean(attempt: Function) -> bool:

@@ -8,7 +8,7 @@ still runs to its end.
 import cv2
 import numpy as np
 
-from .camera import Camera
+from ..camera import Camera
 from .checker import Function, check, verdict
 
 
@@ -38,7 +38,7 @@ def check_rmse(attempt: Function) -> bool:
     """Check ``attempt(pred, gt) -> float``, Eq. 4 over the pixels with ground truth (gt > 0)."""
 
     def right(pred, gt):
-        from .metrics import rmse
+        from ..metrics import rmse
 
         return rmse(pred, gt)
 
@@ -70,7 +70,7 @@ def check_refine(attempt: Function) -> bool:
     """Check ``attempt(mask) -> mask``, (H, W) bool: median 7x7, then dilation by 5x5, 3 iterations (S2)."""
 
     def right(mask):
-        from .region import refine_region
+        from ..region import refine_region
 
         return refine_region(mask)
 
@@ -181,7 +181,7 @@ def check_unproject(attempt: Function) -> bool:
     """Check ``attempt(u, v, z, camera) -> (x, y, z)``: the 3-D point, in metres, of the pixel in column u and row v."""
 
     def right(u, v, z, camera):
-        from .camera import unproject
+        from ..camera import unproject
 
         depth = np.zeros((camera.height, camera.width))
         depth[v, u] = z
@@ -213,7 +213,7 @@ def check_shadow_width(attempt: Function) -> bool:
     """Check ``attempt(z_near, z_far, baseline_m, fx) -> px``, the width of a parallax shadow: fx B (1/near - 1/far)."""
 
     def right(near, far, baseline, fx):
-        from .camera import shadow_width_px
+        from ..camera import shadow_width_px
 
         return shadow_width_px(near, far, baseline, fx)
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ditr_lite.checker import check, verdict
+from ditr_lite.exercises.checker import check, verdict
 
 
 def double(x):

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from checker_cases import checker_tests
 
-from ditr_lite import checks_region as checks
+from ditr_lite.exercises import region as checks
 
 
 def growth(dilate, iterations):

@@ -9,10 +9,10 @@ import math
 import numpy as np
 import torch
 
-from .autoencoder import VectorQuantizer, VQAutoencoder
+from ..autoencoder import VectorQuantizer, VQAutoencoder
+from ..config import AutoencoderConfig
+from ..studies.floor import perplexity
 from .checker import Function, check
-from .config import AutoencoderConfig
-from .studies.floor import perplexity
 
 RNG = np.random.default_rng(7)
 CODES, OTHER_CODES = 3 * RNG.normal(size=(5, 2)), 3 * RNG.normal(size=(4, 3))  # of unlike length: |b|^2 matters
