@@ -41,9 +41,7 @@ MODULES = (
     "studies",
     "peers",
     "exercises",
-    "commands",
-    "boundary_commands",
-    "bench_commands",
+    "cli",
     "papermap_entries",
     "papermap",
 )

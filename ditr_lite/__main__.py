@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from . import bench_commands, boundary_commands, commands
+from .cli import bench, boundary, commands
 
 DATASETS = ("cleargrasp", "cleargrasp_synthetic", "todd", "std", "dreds", "trosd", "transcg", "folder")
 PROTOCOLS = ("cleargrasp", "lidf", "transparenet", "dfnet", "swindrnet", "d3roma", "marigold")
@@ -65,7 +65,7 @@ def parser() -> Parser:
     for name, (add, text) in adders.items():
         sub = which.add_parser(name, help=text, description=text)
         add(sub)
-        homes = {"train-boundary": boundary_commands, "bench-boundary": boundary_commands, "bench": bench_commands}
+        homes = {"train-boundary": boundary, "bench-boundary": boundary, "bench": bench}
         sub.set_defaults(run=getattr(homes.get(name, commands), name.replace("-", "_")))
     return top
 

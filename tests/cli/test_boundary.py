@@ -15,7 +15,7 @@ from ditr_lite.data import SAMPLES, list_samples
 from ditr_lite.evaluation import boundary as boundary_scoring
 from ditr_lite.training import boundary as boundary_training
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 spec = importlib.util.spec_from_file_location("guide_study", ROOT / "tools" / "guide_study.py")
 study = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(study)

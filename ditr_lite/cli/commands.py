@@ -22,7 +22,7 @@ def complete(args: Namespace) -> None:
     check_target(args.panel, ".png")
     if args.ply and not args.intrinsics:
         raise ValueError("--ply needs the camera: give --intrinsics FILE (3x3 matrix, or lines fx: cx: ...)")
-    from .files import read_depth, read_intrinsics, read_mask, read_rgb, write_depth, write_ply
+    from ..files import read_depth, read_intrinsics, read_mask, read_rgb, write_depth, write_ply
 
     rgb, depth = read_rgb(args.rgb), read_depth(args.depth, args.depth_scale)
     region = read_mask(args.region) if args.region else None
@@ -35,7 +35,7 @@ def complete(args: Namespace) -> None:
     if args.ply:
         write_ply(args.ply, out.depth, rgb, camera)
     if args.panel:
-        from .viz import save_panel
+        from ..viz import save_panel
 
         save_panel(args.panel, rgb, depth, out.depth, out.region, out.std)
     height, width = out.depth.shape
@@ -50,8 +50,8 @@ def evaluate(args: Namespace) -> None:
     """Score DITR and every baseline on a split of rendered scenes or on a real dataset, and print the tables."""
     check_target(args.json, ".json")
     source, frames = chosen_frames(args)
-    from .evaluation import protocols, scoring
-    from .files import write_json
+    from ..evaluation import protocols, scoring
+    from ..files import write_json
 
     name = args.protocol or ("cleargrasp" if args.dataset == "cleargrasp" else None)
     protocol = protocols.PROTOCOLS.get(name)
@@ -69,9 +69,9 @@ def floor(args: Namespace) -> None:
     """Print what is lost when the ground truth of a split is encoded and decoded, and how many codes are in use."""
     check_target(args.json, ".json")
     source, frames = chosen_frames(args)
-    from .files import write_json
-    from .store import read_card
-    from .studies.floor import format_floor, load_autoencoder, measure_floor
+    from ..files import write_json
+    from ..store import read_card
+    from ..studies.floor import format_floor, load_autoencoder, measure_floor
 
     report = measure_floor(frames, load_autoencoder(args.weights))
     print(f"{source}, ground truth encoded and decoded")
@@ -98,8 +98,8 @@ def simulate(args: Namespace) -> None:
         if args.count is None:
             raise ValueError("--split needs --count, the number of scenes")
         jobs = [(args.split, args.count, args.first_seed or 0, args.infrared or 0)]
-    from .data import SAMPLES
-    from .simulator.simulate import simulate_many
+    from ..data import SAMPLES
+    from ..simulator.simulate import simulate_many
 
     home = Path("outputs/sensors") / args.sensor if args.sensor else Path("outputs/scenes")
     root = args.out or (SAMPLES if args.split is None else home)
@@ -110,8 +110,8 @@ def simulate(args: Namespace) -> None:
 
 def export(args: Namespace) -> None:
     """Write existing scenes in the layout of a real dataset."""
-    from .data import list_samples, load_sample
-    from .datasets import export as exports
+    from ..data import list_samples, load_sample
+    from ..datasets import export as exports
 
     name, folder = args.export_as
     split = args.split or "val"
@@ -124,10 +124,10 @@ def train(args: Namespace) -> None:
     """Train one part, or all in the order in which they need each other, and write weights and card."""
     from dataclasses import replace
 
-    from .config import override, preset
-    from .store import WEIGHTS
-    from .training import parts as fitting
-    from .training.recipes import RECIPES
+    from ..config import override, preset
+    from ..store import WEIGHTS
+    from ..training import parts as fitting
+    from ..training.recipes import RECIPES
 
     if args.part not in ("all", *fitting.PARTS):
         raise ValueError(f"unknown part {args.part!r}; choose all or one of {', '.join(fitting.PARTS)}")
@@ -155,7 +155,7 @@ def experiment(args: Namespace, settings: dict[str, str], changes: dict[str, flo
     """Train the tiny preset as it is and with settings changed, score both on the same frames, and compare them."""
     from dataclasses import replace
 
-    from .studies.experiment import QUICK, compare, format_comparison
+    from ..studies.experiment import QUICK, compare, format_comparison
 
     if args.start:
         raise ValueError("a comparison trains both systems afresh: leave --start out, or train one --part with it")
@@ -189,13 +189,13 @@ def chosen_frames(args: Namespace) -> tuple[str, _First]:
     if getattr(args, "dataset", None) is None:
         from functools import partial
 
-        from .data import list_samples, load_sample
+        from ..data import list_samples, load_sample
 
         split = args.split or "test"
         return f"{split} split", _First(
             list_samples(split, args.root), partial(load_sample, root=args.root), args.limit
         )
-    from .datasets import REGISTRY
+    from ..datasets import REGISTRY
 
     if args.dataset not in REGISTRY:
         raise ValueError(f"unknown dataset {args.dataset!r}; choose one of {', '.join(REGISTRY)}")
@@ -210,7 +210,7 @@ def chosen_frames(args: Namespace) -> tuple[str, _First]:
 
 def check_scenes(args: Namespace) -> None:
     """Refuse folders without scenes; ``val`` is the shipped split by default."""
-    from .data import SAMPLES
+    from ..data import SAMPLES
 
     args.val = args.val or SAMPLES / "val"
     for folder, command in ((args.data, MAKE_TRAIN), (args.val, MAKE_VAL)):
@@ -220,7 +220,7 @@ def check_scenes(args: Namespace) -> None:
 
 def load_system(args: Namespace):
     """Return the system with the weights that the command line names."""
-    from .pipeline import Ditr
+    from ..pipeline import Ditr
 
     return Ditr.from_pretrained(path=args.weights)
 

@@ -7,8 +7,8 @@ from .commands import check_scenes, check_target, chosen_frames, command_line
 
 def train_boundary(args: Namespace) -> None:
     """Train the learned boundary backend and write its weights and its entry in the card."""
-    from .store import WEIGHTS
-    from .training import boundary as boundary_training
+    from ..store import WEIGHTS
+    from ..training import boundary as boundary_training
 
     check_scenes(args)
     out = args.out or WEIGHTS
@@ -23,13 +23,13 @@ def train_boundary(args: Namespace) -> None:
 def bench_boundary(args: Namespace) -> None:
     """Score every boundary backend against the exact outlines of rendered scenes, and print the table."""
     check_target(args.json, ".json")
-    from .evaluation import boundary as boundary_scoring
+    from ..evaluation import boundary as boundary_scoring
 
     _, frames = chosen_frames(args)
     _, tuning = chosen_frames(Namespace(split="train", root=args.root, limit=None))
     results = boundary_scoring.bench(frames, tuning, args.tolerance, args.weights, args.sam)
     print(boundary_scoring.format_table(results["summary"]))
     if args.json:
-        from .files import write_json
+        from ..files import write_json
 
         write_json(args.json, {"command": command_line(args), "split": args.split, **results})

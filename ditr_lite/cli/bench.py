@@ -10,10 +10,10 @@ from .commands import check_target, chosen_frames, command_line, load_system
 def bench(args: Namespace) -> None:
     """Score every method on a split, a reader's own included, and measure what each stage costs."""
     check_target(args.json, ".json")
-    from .baselines import REGISTRY
-    from .evaluation import latency, scoring
-    from .evaluation.own_method import find_methods
-    from .files import write_json
+    from ..baselines import REGISTRY
+    from ..evaluation import latency, scoring
+    from ..evaluation.own_method import find_methods
+    from ..files import write_json
 
     if args.runs < latency.MIN_RUNS:  # now, not after everything has been scored
         raise ValueError(f"--runs should be at least {latency.MIN_RUNS}, got {args.runs}")
@@ -33,7 +33,7 @@ def costs(args: Namespace, ditr, sample) -> dict[str, Any]:
     """Measure and print time, memory and operations at both frame sizes, the yardstick and training speed."""
     import torch
 
-    from .evaluation import latency, memory, yardstick
+    from ..evaluation import latency, memory, yardstick
 
     found: dict[str, Any] = {
         "machine": {"cores": os.cpu_count(), "threads": torch.get_num_threads(), "torch": torch.__version__},

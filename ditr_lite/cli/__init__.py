@@ -1,0 +1,1 @@
+"""The commands of ``python -m ditr_lite``."""
