@@ -16,12 +16,9 @@ MODULES = (
     "conditioning",
     "camera",
     "loss_types",
-    "summaries",
     "metrics",
-    "completion",
     "region",
     "schedule",
-    "reconstruction",
     "autoencoder",
     "unet",
     "diffusion",
@@ -42,8 +39,6 @@ MODULES = (
     "peers",
     "exercises",
     "cli",
-    "papermap_entries",
-    "papermap",
 )
 
 # The names that need no module in front of them.

@@ -262,9 +262,13 @@ METRICS = [
     ),
     *family(
         "averages and intervals",
-        "summaries",
+        "metrics",
         ("pooled RMSE: of roots", 'columns["rmse"] ** 2 / total', 'columns["rmse"] / total'),
         ("pooled: not weighed", "float(n @ values / total)", "float(values.mean())"),
+    ),
+    *family(
+        "averages and intervals",
+        "evaluation/statistics",
         ("interval: 90 per cent", "mean(axis=1), [2.5, 97.5]", "mean(axis=1), [5.0, 95.0]"),
         ("interval of a ratio: 90 per cent", "over / under, [2.5, 97.5]", "over / under, [5.0, 95.0]"),
         ("ratio: mean of ratios", "pairs[:, 0].mean() / pairs[:, 1].mean()", "(pairs[:, 0] / pairs[:, 1]).mean()"),

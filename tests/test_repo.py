@@ -21,7 +21,7 @@ PACKAGE = ROOT / "ditr_lite"
 SOURCES = {p.relative_to(PACKAGE).as_posix(): p.read_text(encoding="utf-8") for p in sorted(PACKAGE.rglob("*.py"))}
 PYTHON = sorted(p for folder in (PACKAGE, ROOT / "tests", ROOT / "tools") for p in folder.rglob("*.py"))
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-CLOSED = ("exercises", "cli")  # rooms that no other place of the package imports, save __main__
+CLOSED = ("exercises", "peers", "cli")  # rooms that no other place of the package imports, save __main__
 # Where the name that is imported is not the one that is installed; drjit comes with mitsuba, which pins it.
 DISTRIBUTIONS = {"PIL": "pillow", "cv2": "opencv-python-headless", "drjit": "mitsuba", "skimage": "scikit-image"}
 
@@ -280,7 +280,7 @@ def third_party_imports(source):
             roots |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             roots.add(node.module.split(".")[0])
-    beside = {path.stem for path in (ROOT / "tests").glob("*.py")}  # what pytest puts on the path
+    beside = {path.stem for folder in ("tests", "tools") for path in (ROOT / folder).glob("*.py")}  # on pytest's path
     return roots - sys.stdlib_module_names - beside - {"ditr_lite"}
 
 

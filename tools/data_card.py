@@ -162,8 +162,8 @@ Every {stride}th scene of the test split: colour with the outline of the region,
 `python -m ditr_lite simulate --out DIR` (`make samples`) renders them again: Mitsuba 3, `scalar_rgb`, path-traced RGB
 (four passes of four paths a pixel, their median, then a camera's own denoising) and an infrared pair under a projected
 dot pattern (five paths a pixel), semi-global block matching, dropouts, reprojection into the RGB view.
-`scenes.py`, `render.py`, `stereo.py` and `simulate.py` in `ditr_lite/simulator` are the whole recipe. A scene follows from
-split and seed alone.
+`scenes.py`, `render.py`, `stereo.py` and `simulate.py` in `ditr_lite/simulator` are the whole recipe. A scene follows
+from split and seed alone.
 
 {made}
 

@@ -7,9 +7,9 @@ import argparse
 import json
 from pathlib import Path
 
+from ditr_lite.evaluation.statistics import format_interval
 from ditr_lite.peers import compare
 from ditr_lite.store import read_card
-from ditr_lite.summaries import format_interval
 
 START, END = "<!-- results: tools/readme_results.py -->", "<!-- end of results -->"
 SETS = ("optical", "optical_valid", "geometric", "outside", "whole")

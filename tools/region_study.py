@@ -18,9 +18,8 @@ import numpy as np
 from tqdm.auto import tqdm
 
 import ditr_lite as dl
-from ditr_lite import summaries
 from ditr_lite.config import RefineConfig
-from ditr_lite.evaluation import stage_one
+from ditr_lite.evaluation import stage_one, statistics
 from ditr_lite.files import write_json
 from ditr_lite.store import WEIGHTS, read_card
 from ditr_lite.studies import regions
@@ -69,7 +68,7 @@ def study_finetuning(ditr, samples, data: Path, limit: int, steps: int, batch: i
         first, last = (
             np.mean([r["rmse_m"] for r in part]) for part in (curve[: steps // 4 or 1], curve[-steps // 4 :])
         )
-        changes = {k: _interval(summaries.paired_bootstrap, after[k], before[k]) for k in MEASURED}
+        changes = {k: _interval(statistics.paired_bootstrap, after[k], before[k]) for k in MEASURED}
         out[name] = {"rmse_weight": weight, "straight_through": straight_through, "after": after, "change": changes}
         out[name]["training_rmse_m"] = [round(float(first), 5), round(float(last), 5)]
     ditr.parts["region"] = original
@@ -136,7 +135,8 @@ def _table(rows: dict, names: list[str], keys: tuple[str, ...]) -> dict:
     for k, name in enumerate(names):
         each = {key: [_round(row[k][key]) for row in rows.values()] for key in keys}
         table[name] = {
-            key: {"mean": _interval(summaries.bootstrap_mean, values), "scenes": values} for key, values in each.items()
+            key: {"mean": _interval(statistics.bootstrap_mean, values), "scenes": values}
+            for key, values in each.items()
         }
     return table
 

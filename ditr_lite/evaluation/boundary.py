@@ -14,7 +14,7 @@ import numpy as np
 from ..boundary import Backend, boundaries_from_labels, boundary_maps, get_backend, precision_recall_f, true_maps
 from ..data import TRANSPARENT, Sample
 from ..store import WEIGHTS, sha256
-from ..summaries import bootstrap_mean, paired_bootstrap
+from .statistics import bootstrap_mean, paired_bootstrap
 
 CANNY = {"sigma": (0.0, 1.0, 1.5, 2.0, 3.0), "high": (30, 60, 90, 120, 180, 250, 350), "ratio": (0.3, 0.5, 0.8)}
 MAPS = ("m_rgb", "m_d", "m_da")

@@ -12,10 +12,9 @@ import torch
 
 from .. import metrics
 from ..boundary import boundary_maps
-from ..completion import compose
 from ..conditioning import depth_bounds, fit
 from ..data import Sample
-from ..pipeline import Ditr
+from ..pipeline import Ditr, compose
 
 JUMP_M, CLEAR_M = 0.04, 0.01  # what is a depth edge, and how far from both surfaces a pixel must hang to fly
 SCORES = {  # name -> what it says, and whether less is better

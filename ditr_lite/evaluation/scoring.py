@@ -13,15 +13,16 @@ from typing import Any
 import numpy as np
 from tqdm.auto import tqdm
 
-from .. import metrics, summaries
+from .. import metrics
 from ..baselines import REGISTRY, Fill, compose
 from ..data import Sample
 from ..pipeline import Completion, Ditr
 from ..store import read_card
-from ..summaries import format_interval
 from ..units import clean_depth
+from . import statistics
 from .protocols import Protocol
 from .stage_one import PER_CLASS, STAGE_ONE, stage_one
+from .statistics import format_interval
 
 DITR, SENSOR = RESERVED = "ditr", "sensor"  # rows that are not methods
 COMPARED = ("optical", "optical_valid", "geometric")  # where differences get an interval
@@ -141,11 +142,13 @@ def summary(results: Sequence[Result], protocol: Protocol | None = None) -> dict
         "images": len(results),
         "methods": _averages(results, "methods", metrics.average),
         "differences": {
-            name: {key: _interval(summaries.paired_bootstrap, rmse[DITR][key], rmse[name][key]) for key in COMPARED}
+            name: {key: _interval(statistics.paired_bootstrap, rmse[DITR][key], rmse[name][key]) for key in COMPARED}
             for name in rmse
             if name != DITR
         },
-        "stage_one": {k: _interval(summaries.bootstrap_mean, [f.get(k) for f in found]) for k in STAGE_ONE + PER_CLASS},
+        "stage_one": {
+            k: _interval(statistics.bootstrap_mean, [f.get(k) for f in found]) for k in STAGE_ONE + PER_CLASS
+        },
         "kept": all(r["kept"] for r in results),
         "refused": {},
     }

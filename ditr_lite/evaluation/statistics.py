@@ -9,8 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..summaries import bootstrap_mean, paired_bootstrap
-
 
 class SeedComparison(NamedTuple):
     """How two variants differ that were each trained more than once.
@@ -95,3 +93,70 @@ def seed_verdict(name: str, a: Sequence[Sequence[float]], b: Sequence[Sequence[f
     gain = compare_seeds(a, b)
     said = "clear" if gain.clear else "not clear"
     return f"{verdict(name, gain[:3], other)}; seeds {1000 * gain.seeds:.1f} mm apart: {said}"
+
+
+def bootstrap_mean(values: Sequence[float | None], n: int = 2000, seed: int = 0) -> tuple[float, float, float]:
+    """Return (mean, low, high): the mean and its 95 % percentile-bootstrap interval over images.
+
+    Args:
+        values: one number per image; None (no such pixels) is left out.
+        n: resamples.
+        seed: of the resampling.
+
+    Raises:
+        ValueError: when no finite value is left.
+    """
+    kept = np.array([v for v in values if v is not None], dtype=np.float64)
+    if kept.ndim != 1 or kept.size == 0 or not np.isfinite(kept).all() or n < 1:
+        raise ValueError(f"expected finite numbers, one per image, and n >= 1; got {kept.size} numbers, n = {n}")
+    picks = np.random.default_rng(seed).integers(0, kept.size, size=(n, kept.size))
+    low, high = np.percentile(kept[picks].mean(axis=1), [2.5, 97.5])
+    return float(kept.mean()), float(low), float(high)
+
+
+def paired_bootstrap(
+    a: Sequence[float | None], b: Sequence[float | None], n: int = 2000, seed: int = 0
+) -> tuple[float, float, float]:
+    """Return (mean of a - b, low, high), 95 %, resampling images and keeping each image's two scores together.
+
+    Args:
+        a: one score per image of the first method; None leaves the image out for both.
+        b: the same images' scores of the second method.
+        n: resamples.
+        seed: of the resampling.
+
+    Raises:
+        ValueError: for lists of different length or without a common image.
+    """
+    if len(a) != len(b):
+        raise ValueError(f"a and b should score the same images, got {len(a)} and {len(b)} values")
+    return bootstrap_mean([None if x is None or y is None else x - y for x, y in zip(a, b, strict=True)], n, seed)
+
+
+def ratio_bootstrap(
+    a: Sequence[float | None], b: Sequence[float | None], n: int = 2000, seed: int = 0
+) -> tuple[float, float, float]:
+    """Return (mean of a / mean of b, low, high), 95 %, resampling images and keeping each image's two scores together.
+
+    Raises:
+        ValueError: for lists of different length, without a common image, a mean of 0 in ``b``, or n below 1.
+    """
+    if len(a) != len(b):
+        raise ValueError(f"a and b should score the same images, got {len(a)} and {len(b)} values")
+    pairs = np.array([(x, y) for x, y in zip(a, b, strict=True) if x is not None and y is not None], np.float64)
+    if not pairs.size or not pairs[:, 1].mean() > 0 or n < 1:
+        raise ValueError(f"expected common images, positive scores in b, and n >= 1; got {len(pairs)} images, n = {n}")
+    picks = np.random.default_rng(seed).integers(0, len(pairs), size=(n, len(pairs)))
+    over, under = pairs[picks].mean(axis=1).T  # (n, images, 2) -> (n, 2)
+    low, high = np.percentile(over / under, [2.5, 97.5])
+    return float(pairs[:, 0].mean() / pairs[:, 1].mean()), float(low), float(high)
+
+
+def format_interval(
+    interval: Sequence[float] | None, factor: float = 1.0, style: str = "+.1f", missing: str = "-"
+) -> str:
+    """Return ``mean [low, high]``, each times ``factor`` and in the format ``style``; ``missing`` for None."""
+    if interval is None:
+        return missing
+    mean, low, high = (format(factor * x, style) for x in interval)
+    return f"{mean} [{low}, {high}]"

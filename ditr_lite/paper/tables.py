@@ -7,7 +7,7 @@ answers. Paper: Tables I to VI and Sec. V-A.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ..summaries import METRICS
+from ..metrics import METRICS
 
 PARTS = ("geometric", "optical")  # of Table V
 

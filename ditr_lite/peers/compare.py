@@ -14,15 +14,14 @@ import numpy as np
 
 from .. import metrics
 from ..baselines import REGISTRY, compose
-from ..completion import Completion
 from ..config import from_dict
 from ..data import Sample
+from ..evaluation.statistics import bootstrap_mean, format_interval, paired_bootstrap, ratio_bootstrap
 from ..paper.tables import T1, T4, T5
-from ..pipeline import Ditr, build
+from ..pipeline import Completion, Ditr, build
 from ..store import WEIGHTS, load_part, load_parts, read_card
 from ..studies.floor import reconstruct
 from ..studies.swaps import SWAPS, Swapped
-from ..summaries import bootstrap_mean, format_interval, paired_bootstrap, ratio_bootstrap
 from .networks import load_peers
 
 RESULTS = WEIGHTS / "results_peers.json"

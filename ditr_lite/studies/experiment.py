@@ -20,9 +20,9 @@ import torch
 from ..config import Config, override, preset, to_dict
 from ..data import SAMPLES, read_sample
 from ..evaluation.scoring import DITR, run_methods
+from ..evaluation.statistics import format_interval, paired_bootstrap
 from ..pipeline import Ditr, build
 from ..store import CARD, load_part, read_card, save_part
-from ..summaries import format_interval, paired_bootstrap
 from ..training.batches import Scenes, checksum, first, join, load_scenes, shrink
 from ..training.loop import Recipe
 from ..training.parts import PARTS, check_same_system, folder_name, train_on

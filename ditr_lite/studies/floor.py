@@ -18,9 +18,9 @@ from ..autoencoder import VQAutoencoder, depth_steps
 from ..conditioning import depth_bounds, fill
 from ..config import from_dict
 from ..data import Sample
+from ..evaluation.statistics import bootstrap_mean, format_interval
 from ..metrics import pixel_sets
 from ..store import load_part, read_card
-from ..summaries import bootstrap_mean, format_interval
 
 EDGE = 0.05  # relative step between neighbours from which a pixel lies at a depth edge
 SETS = ("whole", "optical", "geometric", "edge", "interior")

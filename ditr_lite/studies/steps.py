@@ -12,7 +12,7 @@ import numpy as np
 from .. import metrics
 from ..data import Sample
 from ..evaluation.draws import flying_share
-from ..summaries import bootstrap_mean, format_interval, paired_bootstrap
+from ..evaluation.statistics import bootstrap_mean, format_interval, paired_bootstrap
 
 SETS = ("optical", "geometric")
 # steps -> (frames, members drawn for each): many steps are dear, so fewer frames are asked; rows say how many

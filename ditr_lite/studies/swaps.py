@@ -17,9 +17,9 @@ from .. import metrics
 from ..boundary import M_DA, M_RGB
 from ..config import RefineConfig
 from ..data import Sample
+from ..evaluation.statistics import bootstrap_mean, paired_bootstrap
 from ..paper.tables import T1, T5
 from ..pipeline import BRANCHES, Ditr
-from ..summaries import bootstrap_mean, paired_bootstrap
 
 SCORED = ("optical", "geometric", "outside", "whole")
 PARTS = ("geometric", "optical", "whole")  # Table V's two, and Table I's

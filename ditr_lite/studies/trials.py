@@ -12,8 +12,8 @@ import numpy as np
 
 from ..config import from_dict, override, preset
 from ..evaluation.costs import costs
+from ..evaluation.statistics import format_interval, paired_bootstrap
 from ..store import WEIGHTS, read_card
-from ..summaries import format_interval, paired_bootstrap
 from .settings import DEFAULT, against_default, errors
 
 

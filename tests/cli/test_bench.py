@@ -2,7 +2,7 @@
 
 import pytest
 
-from ditr_lite.__main__ import main
+from ditr_lite.cli import main
 from ditr_lite.evaluation import scoring
 
 

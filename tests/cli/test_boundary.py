@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from ditr_lite import pipeline, store
-from ditr_lite.__main__ import main
 from ditr_lite.boundary import learned
+from ditr_lite.cli import main
 from ditr_lite.config import override, preset
 from ditr_lite.data import SAMPLES, list_samples
 from ditr_lite.evaluation import boundary as boundary_scoring

@@ -12,8 +12,8 @@ from hypothesis.extra import numpy as hnp
 from torch.utils.data import DataLoader
 
 from ditr_lite import datasets, files
-from ditr_lite.__main__ import main
 from ditr_lite.camera import Camera
+from ditr_lite.cli import main
 from ditr_lite.data import Sample, list_samples, load_sample
 from ditr_lite.datasets import export
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ditr_lite import __main__ as command_line
+from ditr_lite import cli as command_line
 from ditr_lite import metrics
 from ditr_lite.data import Sample
 from ditr_lite.evaluation import protocols

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from checker_cases import checker_tests
 
-from ditr_lite import completion, conditioning
+from ditr_lite import conditioning, pipeline
 from ditr_lite.exercises import pipeline as checks
 from ditr_lite.unet import count_flops
 
@@ -113,7 +113,7 @@ def test_the_exercises_are_what_the_pipeline_does():
     assert (given(depth, region)[0] == known).all() and (given(depth, region)[1] == evidence).all()
 
     optical, geometric = rng.uniform(0.5, 0.9, (2, 3, 8, 8)).astype(np.float32)
-    drawn = np.stack([completion.compose(depth, o, g, region) for o, g in zip(optical, geometric, strict=True)])
+    drawn = np.stack([pipeline.compose(depth, o, g, region) for o, g in zip(optical, geometric, strict=True)])
     mean, std = spread(depth, optical, geometric, region)
-    np.testing.assert_allclose(mean, completion.compose(depth, optical.mean(0), geometric.mean(0), region), rtol=1e-6)
+    np.testing.assert_allclose(mean, pipeline.compose(depth, optical.mean(0), geometric.mean(0), region), rtol=1e-6)
     np.testing.assert_array_equal(std, drawn.std(0, ddof=1))

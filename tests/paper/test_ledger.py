@@ -2,13 +2,13 @@
 
 from test_notebooks import READING_ORDER
 
-from ditr_lite.paper import findings, ledger
+from ditr_lite.paper import ledger
 
 
 def test_there_are_twenty_entries_each_with_its_own_computation():
     assert [e.number for e in ledger.ENTRIES] == list(range(1, 21))
     assert len({e.measured for e in ledger.ENTRIES}) == 20
-    assert all(e.measured.__module__ == findings.__name__ for e in ledger.ENTRIES)
+    assert all(e.measured.__module__ == ledger.__name__ for e in ledger.ENTRIES)
 
 
 def test_every_entry_says_where_what_and_how_it_ends():

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from ditr_lite.metrics import METRICS
 from ditr_lite.paper import tables
-from ditr_lite.summaries import METRICS
 
 SOURCE = Path(__file__).resolve().parents[3] / "shared" / "paper" / "ditr.tex"
 needs_source = pytest.mark.skipif(not SOURCE.is_file(), reason="the paper's source is not beside the repository")

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ditr_lite import data, store
-from ditr_lite.__main__ import main
 from ditr_lite.autoencoder import VQAutoencoder
+from ditr_lite.cli import main
 from ditr_lite.conditioning import depth_bounds
 from ditr_lite.config import preset
 from ditr_lite.studies import floor

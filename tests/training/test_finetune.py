@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ditr_lite import completion
+from ditr_lite import pipeline
 from ditr_lite.conditioning import depth_bounds
 from ditr_lite.config import RefineConfig, preset
 from ditr_lite.pipeline import Ditr, build
@@ -107,7 +107,7 @@ def test_a_hard_region_composes_as_the_pipeline_does():
     tensors = [torch.from_numpy(np.asarray(a, np.float32))[None, None] for a in (region, depth, depth > 0)]
     painted = [torch.from_numpy(a)[None, None] for a in (optical, geometric)]
     got = soft_compose(*tensors, *painted)[0, 0].numpy()
-    np.testing.assert_array_equal(got, completion.compose(depth, optical, geometric, region))
+    np.testing.assert_array_equal(got, pipeline.compose(depth, optical, geometric, region))
     half = soft_compose(torch.full_like(tensors[0], 0.5), *tensors[1:], *painted)[0, 0].numpy()
     np.testing.assert_allclose(half, (optical + np.where(depth > 0, depth, geometric)) / 2, rtol=1e-6)
 
@@ -157,7 +157,7 @@ def test_the_painting_region_joins_found_and_true(scenes, parts, monkeypatch):
 
 
 @pytest.mark.parametrize("straight_through", [False, True])
-def test_finetuning_moves_the_region_to_where_final_depth_gains(scenes, parts, straight_through):
+def test_the_region_moves_to_where_final_depth_gains(scenes, parts, straight_through):
     """All readings are off and the painting is right everywhere: the region should grow, whatever the labels say."""
     scenes = replace(scenes, depth=np.where(scenes.depth > 0, scenes.depth + 30, 0).astype(np.uint16))
     model = copy.deepcopy(parts["region"])

@@ -1,4 +1,4 @@
-"""Where each part of the paper lives: three lines an entry, read by ``papermap``.
+"""Where each part of the paper lives: three lines an entry, read by ``paper_map``.
 
     id | done or left out | notebook | heading or cell id in it (- where there is none)
     function, as module.name | test, as file::name              (- where there is none)
@@ -73,7 +73,7 @@ training.region_training.train_region | training/test_region_training.py::test_c
 training of stage one: SGD, batch 16, momentum 0.9, weight decay 1e-4, 200 epochs, a mixed learning rate
 
 S4 | done | 02_region_refinement | 9 · Send the final error back through everything
-training.finetune.finetune_region | training/test_finetune.py::test_finetuning_moves_the_region_to_where_final_depth_gains
+training.finetune.finetune_region | training/test_finetune.py::test_the_region_moves_to_where_final_depth_gains
 fine-tuning: stage two frozen, the final RMSE added to the loss, 1e-3, 50 epochs
 
 S5 | done | 03_vq_autoencoder | 5 · Where the quantiser sits, and why diffusion cares

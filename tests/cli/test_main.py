@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from ditr_lite import data, files, pipeline, store
-from ditr_lite.__main__ import DATASETS, main
+from ditr_lite.cli import DATASETS, main
 from ditr_lite.config import preset
 from ditr_lite.evaluation import memory, yardstick
 from ditr_lite.training import recipes
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 REAL = ROOT.parent / "shared" / "real"
 needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="no real frames beside the repository")
 SHAPE = (64, 96)
@@ -407,7 +407,7 @@ def test_every_command_explains_itself(command, capsys):
 
 
 def test_help_imports_nothing_heavy():
-    code = "import sys; from ditr_lite.__main__ import parser; parser(); assert 'numpy' not in sys.modules"
+    code = "import sys; from ditr_lite.cli import parser; parser(); assert 'numpy' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 
 

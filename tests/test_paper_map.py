@@ -3,13 +3,12 @@
 from dataclasses import replace
 from pathlib import Path
 
+import paper_map
 import pytest
 from test_notebooks import READING_ORDER
 
-from ditr_lite import papermap
-
 ROOT = Path(__file__).resolve().parents[1]
-ENTRIES = papermap.entries()
+ENTRIES = paper_map.entries()
 # What the paper has, counted in the paper and not taken from the map.
 COUNTS = {"Eq. ": 9, "I": 4, "S": 9, "T": 6, "A": 2, "F": 13, "C": 11}
 REQUIRED = [f"{kind}{n}" for kind, count in COUNTS.items() for n in range(1, count + 1)]
@@ -22,13 +21,13 @@ def test_no_part_of_the_paper_is_missing_or_twice():
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.id)
 def test_entry_is_what_it_says(entry):
-    assert papermap.problems(entry, ROOT) == []
+    assert paper_map.problems(entry, ROOT) == []
     assert entry.paper and (entry.notebook in READING_ORDER or entry.status == "left out")
 
 
 def test_the_page_is_the_current_one():
     text = (ROOT / "PAPER_MAP.md").read_text(encoding="utf-8")
-    assert text == papermap.page(ENTRIES), "run python tools/paper_map.py"
+    assert text == paper_map.page(ENTRIES), "run python tools/paper_map.py"
     assert all(f"\n| {entry.id} |" in text for entry in ENTRIES)
 
 
@@ -50,15 +49,15 @@ def test_the_page_is_the_current_one():
     ],
 )
 def test_a_dead_link_is_named_unless_left_out(change, message):
-    assert papermap.problems(GOOD, ROOT) == []
-    (problem,) = papermap.problems(replace(GOOD, **change), ROOT)
+    assert paper_map.problems(GOOD, ROOT) == []
+    (problem,) = paper_map.problems(replace(GOOD, **change), ROOT)
     assert problem.startswith("Eq. 7 is done, but there is ") and message in problem
-    assert papermap.problems(replace(GOOD, **change, status="left out"), ROOT) == []
+    assert paper_map.problems(replace(GOOD, **change, status="left out"), ROOT) == []
 
 
 def test_a_cell_id_and_an_assigned_test_are_found_too():
-    assert papermap.problems(replace(GOOD, anchor="cell-012"), ROOT) == []
-    assert papermap.has_test(ROOT / "tests", "exercises/test_start.py::test_a_planted_mistake_is_named")
+    assert paper_map.problems(replace(GOOD, anchor="cell-012"), ROOT) == []
+    assert paper_map.has_test(ROOT / "tests", "exercises/test_start.py::test_a_planted_mistake_is_named")
 
 
 @pytest.mark.parametrize(
@@ -66,7 +65,7 @@ def test_a_cell_id_and_an_assigned_test_are_found_too():
     [(" | done |", " | finished |", "expected status"), ("metrics.rmse | ", "metrics.rmse ", "expected three lines")],
 )
 def test_a_malformed_entry_is_refused(old, new, message):
-    text = papermap.ENTRIES
+    text = paper_map.ENTRIES
     assert old in text
     with pytest.raises(ValueError, match=message):
-        papermap.read(text.replace(old, new, 1))
+        paper_map.read(text.replace(old, new, 1))
