@@ -10,6 +10,8 @@ from hypothesis.extra.numpy import arrays
 
 from ditr_lite import metrics as M
 
+PIXELS = arrays(np.float64, 12, elements=st.floats(0.05, 10.0))
+
 PRED, TRUTH = np.array([1.1, 2.0, 3.0]), np.array([1.0, 2.0, 4.0])
 METRES = st.floats(0.05, 10.0)
 MAPS = arrays(np.float64, (3, 4), elements=METRES)
