@@ -13,9 +13,9 @@ import sys
 from pathlib import Path
 
 import ditr_lite as dl
-from ditr_lite import swaps
 from ditr_lite.files import write_json
 from ditr_lite.store import WEIGHTS, read_card
+from ditr_lite.studies import swaps
 
 
 def main(arguments: list[str] | None = None) -> int:
