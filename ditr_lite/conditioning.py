@@ -220,6 +220,32 @@ def pool_readings(small: np.ndarray, image: np.ndarray) -> None:
     small[y[v[order]], x[u[order]]] = image[v[order], u[order]]
 
 
+def without_strays(depth: np.ndarray) -> np.ndarray:
+    """Return depth (H, W) in metres as the networks see it: without its :func:`strays`, unless it has nothing else."""
+    left = np.where(strays(depth), 0, depth).astype(np.float32)
+    return left if left.any() else depth.astype(np.float32)
+
+
+def tie(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
+    """Draw a painting towards the readings around its holes: what they differ by is spread into the holes.
+
+    The working size is smaller than a camera's picture; this gives a filled hole the level of its rim at full size.
+    By ratios, so that distance does not matter.
+
+    Args:
+        painted: (H, W) metres, dense.
+        depth: (H, W) raw metres, 0 = missing.
+        region: (H, W) bool, whose readings do not count.
+
+    Returns:
+        (H, W) float32 metres, equal to ``depth`` where a reading counts.
+    """
+    known = (depth > 0) & ~region
+    difference = np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0))
+    maps = [torch.from_numpy(m.astype(np.float32))[None, None] for m in (difference, known)]
+    return (painted * np.exp(fill(*maps)[0, 0].numpy())).astype(np.float32)
+
+
 def depth_tensors(depth: np.ndarray, bounds: Bounds) -> tuple[Tensor, Tensor]:
     """Return normalised depth, 0 where missing, and its validity 0/1, (1, 1, H, W) float32 each, of (H, W) metres."""
     valid = torch.from_numpy((depth > 0).astype(np.float32))[None, None]

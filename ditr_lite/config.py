@@ -30,6 +30,15 @@ class RefineConfig:
     median: int = 7
     dilate: int = 5
     iterations: int = 3
+    threshold: float = 0.5  # probability above which a pixel is claimed
+    temperature: float = 1.0  # logits are divided by it, so that the probability means what it says
+
+    def __post_init__(self) -> None:
+        if not 0 < self.threshold < 1 or not self.temperature > 0:
+            raise ValueError(
+                f"refine: expected a threshold between 0 and 1 and a temperature above 0, "
+                f"got {self.threshold} and {self.temperature}"
+            )
 
 
 @dataclass(frozen=True)
@@ -69,7 +78,11 @@ class UNetConfig:
     query: str = "feature"  # cross-attention: "feature" (the paper's) or "latent" (latent diffusion's)
     block: str = "residual"  # "residual" (GroupNorm, SiLU) or "plain" (the paper's 3x3 conv + ReLU)
     cond_channels: int = 32  # channels of F(x) that are concatenated to L_t
-    colour_channels: tuple[int, ...] = (24, 40, 112)  # of the pretrained encoder's features at strides 4, 8, 16; () none
+    colour_channels: tuple[int, ...] = (
+        24,
+        40,
+        112,
+    )  # of the pretrained encoder's features at strides 4, 8, 16; () none
     anchor: bool = True  # predict what to add to the encoded known depth; only with prediction "x0" (not in the paper)
 
     def __post_init__(self) -> None:
@@ -110,6 +123,8 @@ class StdConfig:
 
     base: tuple[float, float] = (0.0, 0.0)  # optical, geometric; a share of the depth
     factor: tuple[float, float] = (1.0, 1.0)
+    kept: float = 0.0  # of readings that were kept, a share of the depth
+    missed: float = 0.0  # of readings that were kept on glass
 
     def __post_init__(self) -> None:
         if not len(self.base) == len(self.factor) == 2:
@@ -124,6 +139,7 @@ class Config:
 
     name: str = "lite"
     size: tuple[int, int] = (192, 256)
+    window: int = 192  # side of the optical branch's windows; 0: it sees the whole frame (the paper)
     region: RegionConfig = field(default_factory=RegionConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     autoencoder: AutoencoderConfig = field(default_factory=AutoencoderConfig)
@@ -138,6 +154,8 @@ class Config:
         stride = max(32, 4 * 2 ** (len(self.unet.multipliers) - 1))  # of latents, 4, doubled by each further level
         if len(self.size) != 2 or any(n < stride or n % stride for n in self.size):
             raise ValueError(f"size: expected (height, width), both multiples of {stride}, got {self.size}")
+        if self.window and (self.window < stride or self.window % stride):
+            raise ValueError(f"window: expected 0 or a multiple of {stride}, got {self.window}")
         if self.unet.anchor and self.sampler.prediction != "x0":
             raise ValueError(f"sampler.prediction {self.sampler.prediction!r} needs unet.anchor=false")
 
@@ -146,9 +164,10 @@ PRESETS: dict[str, Config] = {
     "tiny": Config(
         name="tiny",
         size=(64, 96),
-        region=RegionConfig(width=8, levels=3),
+        window=64,
+        region=RegionConfig(width=8, levels=3, colour="scratch"),
         autoencoder=AutoencoderConfig(codes=64, width=8),
-        unet=UNetConfig(width=8, cond_channels=8, heads=2),
+        unet=UNetConfig(width=8, cond_channels=8, heads=2, colour_channels=()),
         detail=DetailConfig(width=8),
     ),
     "lite": Config(  # both chosen on the validation split
@@ -158,9 +177,12 @@ PRESETS: dict[str, Config] = {
     "paper": Config(
         name="paper",
         size=(736, 1280),  # 1280 x 720 (Table VI), padded to a multiple of 32
-        region=RegionConfig(width=16, levels=4),  # of all powers of two nearest to the 16 GFLOPs of Table VI
+        window=0,
+        region=RegionConfig(
+            width=16, levels=4, colour="scratch"
+        ),  # of all powers of two nearest to the 16 GFLOPs of Table VI
         autoencoder=AutoencoderConfig(latent_channels=3, codes=8192, width=128, multipliers=(2, 4), res_blocks=2),
-        unet=UNetConfig(width=64, block="plain", cond_channels=64, heads=1, anchor=False),
+        unet=UNetConfig(width=64, block="plain", cond_channels=64, heads=1, anchor=False, colour_channels=()),
         detail=DetailConfig(width=0),
         sampler=SamplerConfig(prediction="x0", steps=1000, samples=1),
         evidence=False,

@@ -107,7 +107,11 @@ class DetailNet(nn.Module):
         out = F.pixel_shuffle(self.out(x), 2)  # (B, 4 OUTPUTS, H/2, W/2) -> (B, OUTPUTS, H, W)
         residual, trust, *kernels = out.split([1, 2, *[9] * len(DILATIONS)], dim=1)
         start = trust.new_tensor([3.0, -1.0]).view(1, 2, 1, 1)  # at first readings outside are trusted, inside hardly
-        return residual, torch.sigmoid(trust + start), [k.softmax(dim=1) for k in kernels]  # at first readings are trusted
+        return (
+            residual,
+            torch.sigmoid(trust + start),
+            [k.softmax(dim=1) for k in kernels],
+        )  # at first readings are trusted
 
 
 def propagate(start: Tensor, readings: Tensor, trust: Tensor, affinities: list[Tensor]) -> Tensor:

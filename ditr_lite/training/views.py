@@ -8,14 +8,11 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import torch
-from torch import Tensor
 
-from ditr_lite.augment import colours
-from ditr_lite.boundary import M_DA, M_RGB, Backend, boundary_maps
-from ditr_lite.conditioning import Bounds, depth_bounds, strays, to_tensor
-from ditr_lite.region import IGNORE
-from ditr_lite.windows import LEAST, MARGIN
+from ..region import IGNORE
+from ..windows import LEAST, MARGIN
+from .augment import colours
+from .scenes import Scenes
 
 
 @dataclass(frozen=True)
@@ -37,13 +34,11 @@ class View:
     region: np.ndarray
 
 
-def look(
-    scenes, i: int, matrix: np.ndarray, size: tuple[int, int], claimed: np.ndarray | None = None
-) -> View:
+def look(scenes: Scenes, i: int, matrix: np.ndarray, size: tuple[int, int], claimed: np.ndarray | None = None) -> View:
     """Cut a view out of scene ``i``.
 
     Args:
-        scenes: a ``scenedata.Scenes``.
+        scenes: the scenes.
         i: which one.
         matrix: (2, 3), takes pixels of the view to pixels of the scene.
         size: (H, W) of the view.
@@ -53,9 +48,8 @@ def look(
     wh = (size[1], size[0])
     rgb = cv2.warpAffine(scenes.rgb[i], matrix, wh, flags=cv2.INTER_LINEAR | flags, borderMode=cv2.BORDER_REPLICATE)
     nearest = cv2.INTER_NEAREST | flags
-    depth, gt = (
-        cv2.warpAffine(d[i], matrix, wh, flags=nearest).astype(np.float32) / 1000 for d in (scenes.depth, scenes.depth_gt)
-    )
+    depth = cv2.warpAffine(scenes.depth[i], matrix, wh, flags=nearest).astype(np.float32) / 1000
+    gt = cv2.warpAffine(scenes.depth_gt[i], matrix, wh, flags=nearest).astype(np.float32) / 1000
     material = cv2.warpAffine(scenes.material[i], matrix, wh, flags=nearest, borderValue=IGNORE)
     region = (material == 1) | (material == 2)
     if claimed is not None:
@@ -91,7 +85,7 @@ def turn(rng: np.random.Generator) -> float:
     return float(rng.uniform(-np.pi, np.pi))
 
 
-def frame_view(scenes, i: int, size: tuple[int, int], rng: np.random.Generator | None) -> View:
+def frame_view(scenes: Scenes, i: int, size: tuple[int, int], rng: np.random.Generator | None) -> View:
     """Return a whole scene at ``size``; with ``rng`` zoomed, moved and turned."""
     height, width = scenes.depth.shape[1:]
     whole = max(height / size[0], width / size[1])
@@ -104,11 +98,13 @@ def frame_view(scenes, i: int, size: tuple[int, int], rng: np.random.Generator |
     return look(scenes, i, placement(size, centre, whole / zoom, turn(rng), bool(rng.random() < 0.5)), size)
 
 
-def window_view(scenes, i: int, size: tuple[int, int], rng: np.random.Generator, mistaken: float = 0.35) -> View:
+def window_view(
+    scenes: Scenes, i: int, size: tuple[int, int], rng: np.random.Generator, mistaken: float = 0.35
+) -> View:
     """Return a window around a blob of the region, or around something that stage one might take for glass.
 
     Args:
-        scenes: a ``scenedata.Scenes``, with instances.
+        scenes: the scenes, with instances.
         i: which one.
         size: (H, W) of the view.
         rng: draws the blob, the window about it and the mistakes.
@@ -129,7 +125,7 @@ def window_view(scenes, i: int, size: tuple[int, int], rng: np.random.Generator,
     return replace(view, region=blunder(view.region, rng) if rng.random() < mistaken else grow(view.region, rng))
 
 
-def false_claim(scenes, i: int, rng: np.random.Generator) -> np.ndarray:
+def false_claim(scenes: Scenes, i: int, rng: np.random.Generator) -> np.ndarray:
     """Return (h, w) bool: an opaque thing of the scene, or a patch of it, that a mistaken stage one claims."""
     instances, height, width = scenes.instances[i], *scenes.material[i].shape
     opaque = np.unique(instances[(scenes.material[i] == 0) & (instances > 0)])
@@ -220,63 +216,3 @@ def thin_out(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     first = int(rng.integers(step))
     out[first::step] = depth[first::step]
     return out
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Tensors of B views in network units: rgb (B, 3, H, W) in [-1, 1], all others (B, 1, H, W) unless said."""
-
-    rgb: Tensor
-    depth_n: Tensor  # raw, 0 where missing or hidden
-    valid: Tensor
-    gt_n: Tensor  # ground truth, 0 where unknown
-    gt_known: Tensor
-    material: Tensor  # (B, H, W) int64
-    region: Tensor
-    bounds: Bounds  # tensors (B, 1, 1, 1)
-    guide_rgb: Tensor | None
-    guide_da: Tensor | None
-
-    def relative_error(self, depth_n: Tensor) -> Tensor:
-        """Return (predicted - true) / middle of the frame, (B, 1, H, W); 0 where the truth is unknown."""
-        middle = (self.bounds.low * self.bounds.high).sqrt()
-        error = (self.bounds.denormalise(depth_n) - self.bounds.denormalise(self.gt_n)) / middle
-        return torch.where(self.gt_known > 0, error, 0.0)
-
-
-def batch_of(views: list[View], backend: Backend | None = None, around: bool = False) -> Batch:
-    """Normalise views and stack them.
-
-    Args:
-        views: of one size.
-        backend: finds the guides; None leaves them out.
-        around: take the bounds from readings outside the region, as windows do.
-    """
-    rows = {name: [] for name in ("depth_n", "valid", "gt_n", "gt_known", "region", "guide_rgb", "guide_da")}
-    lows, highs = [], []
-    for view in views:
-        depth = np.where(strays(view.depth), 0, view.depth)
-        if not (depth > 0).any():
-            depth = view.depth_gt if (view.depth_gt > 0).any() else np.ones_like(depth)
-        bounds = depth_bounds(depth, ~view.region if around else None)
-        lows.append(bounds.low)
-        highs.append(bounds.high)
-        rows["depth_n"].append(bounds.normalise(depth))
-        rows["valid"].append(depth > 0)
-        rows["gt_n"].append(bounds.normalise(view.depth_gt))
-        rows["gt_known"].append(view.depth_gt > 0)
-        rows["region"].append(view.region)
-        if backend is not None:
-            maps = boundary_maps(view.rgb, depth.astype(np.float32), backend)
-            rows["guide_rgb"].append(maps[M_RGB])
-            rows["guide_da"].append(maps[M_DA])
-    stacked = {k: torch.from_numpy(np.stack(v).astype(np.float32))[:, None] for k, v in rows.items() if v}
-    column = [torch.tensor(v, dtype=torch.float32).view(-1, 1, 1, 1) for v in (lows, highs)]
-    return Batch(
-        rgb=to_tensor(np.stack([v.rgb for v in views])),
-        material=torch.from_numpy(np.stack([v.material for v in views]).astype(np.int64)),
-        bounds=Bounds(*column),
-        guide_rgb=stacked.pop("guide_rgb", None),
-        guide_da=stacked.pop("guide_da", None),
-        **stacked,
-    )

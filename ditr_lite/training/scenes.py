@@ -1,0 +1,125 @@
+"""Rendered scenes as arrays in memory, and pools of them that training draws from."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from tqdm.auto import tqdm
+
+from ..conditioning import fit
+from ..data import read_sample
+
+MAPS = ("rgb", "depth", "depth_gt", "material", "instances")  # what every scene has
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """N scenes of one size.
+
+    Attributes:
+        names: of the scenes.
+        rgb: (N, H, W, 3) uint8.
+        depth, depth_gt: (N, H, W) uint16 millimetres, 0 = missing or unknown.
+        material: (N, H, W) uint8, 0 opaque, 1 transparent, 2 reflective.
+        instances: (N, H, W) uint8, 0 what stands on nothing (table, walls), otherwise one number a thing.
+    """
+
+    names: list[str]
+    rgb: np.ndarray
+    depth: np.ndarray
+    depth_gt: np.ndarray
+    material: np.ndarray
+    instances: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+class Pool:
+    """Groups of scenes, each drawn with its own share; a group may have a size of its own.
+
+    Args:
+        groups: of scenes.
+        shares: of the draws, one a group; by default each group counts by its number of scenes.
+    """
+
+    def __init__(self, groups: Sequence[Scenes], shares: Sequence[float] | None = None):
+        weights = np.array([len(g) for g in groups] if shares is None else shares, dtype=float)
+        if len(weights) != len(groups) or not len(groups) or (weights < 0).any() or not weights.sum() > 0:
+            raise ValueError(f"expected a share of at least 0 for each of {len(groups)} groups, got {shares}")
+        self.groups, self.shares = tuple(groups), weights / weights.sum()
+
+    def __len__(self) -> int:
+        return sum(len(g) for g in self.groups)
+
+    def pick(self, rng: np.random.Generator) -> tuple[Scenes, int]:
+        """Draw a group and a scene of it."""
+        group = self.groups[int(rng.choice(len(self.groups), p=self.shares))]
+        return group, int(rng.integers(len(group)))
+
+
+def load_scenes(folder: Path | str, limit: int | None = None) -> Scenes:
+    """Read the scenes of a folder that ``simulate`` wrote.
+
+    Args:
+        folder: e.g. ``outputs/scenes/train``.
+        limit: read only the first ones.
+
+    Raises:
+        ValueError: when there is no scene, one without ground truth, material or instances, or for a limit below 1.
+    """
+    if limit is not None and limit < 1:
+        raise ValueError(f"the limit (--limit) should be at least 1 scene, got {limit}")
+    folder = Path(folder)
+    paths = sorted(p.parent for p in folder.glob("*/meta.json") if not p.parent.name.endswith(".part"))[:limit]
+    if not paths:
+        raise ValueError(f"no scenes in {folder}: make them with `make samples` or `python -m ditr_lite simulate`")
+    samples = [read_sample(p) for p in tqdm(paths, desc="reading scenes", unit="scene", leave=False)]
+    for s in samples:
+        missing = [name for name in ("depth_gt", "material", "instances") if getattr(s, name) is None]
+        if missing:
+            raise ValueError(f"{folder / s.name} has no {' and no '.join(missing)}, which training needs")
+    return Scenes(
+        names=[s.name for s in samples],
+        rgb=np.stack([s.rgb for s in samples]),
+        depth=np.stack([_millimetres(s.depth) for s in samples]),
+        depth_gt=np.stack([_millimetres(s.depth_gt) for s in samples]),
+        material=np.stack([s.material for s in samples]),
+        instances=np.stack([s.instances for s in samples]),
+    )
+
+
+def _millimetres(depth_m: np.ndarray) -> np.ndarray:
+    return np.rint(depth_m * 1000).astype(np.uint16)
+
+
+def shrink(scenes: Scenes, size: tuple[int, int]) -> Scenes:
+    """Return scenes at a working size, brought there as the system brings a frame there."""
+    frame = fit(scenes.depth.shape[1:], size)
+    small = {name: np.stack([frame.into(image) for image in getattr(scenes, name)]) for name in MAPS}
+    return Scenes(names=scenes.names, **small)
+
+
+def join(groups: Sequence[Scenes]) -> Scenes:
+    """Return groups of scenes of one size as one."""
+    maps = {name: np.concatenate([getattr(g, name) for g in groups]) for name in MAPS}
+    return Scenes(names=[name for g in groups for name in g.names], **maps)
+
+
+def first(scenes: Scenes, count: int | None) -> Scenes:
+    """Return the first ``count`` scenes, all for None."""
+    return Scenes(names=scenes.names[:count], **{name: getattr(scenes, name)[:count] for name in MAPS})
+
+
+def checksum(*groups: Scenes) -> str:
+    """Return the SHA-256 of all that a network can see of groups of scenes, and of their names."""
+    digest = hashlib.sha256()
+    for scenes in groups:
+        digest.update("\n".join(scenes.names).encode())
+        for name in MAPS:
+            maps = getattr(scenes, name)
+            digest.update(f"{name} {maps.shape}".encode())
+            digest.update(np.ascontiguousarray(maps).ravel())
+    return digest.hexdigest()
