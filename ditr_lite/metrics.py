@@ -1,4 +1,4 @@
-"""Scores of one frame: RMSE, MAE, REL, delta and CRPS, and where they are taken; masks. ``summaries`` has the rest.
+"""Scores of one frame: RMSE, MAE, REL, delta and CRPS, and where they are taken; masks; averages of many frames.
 
 Depth is in metres. Ground truth of 0 means unknown and is never scored. Shares are in per cent, REL is a plain ratio.
 The printed formulas (Paper: Sec. III, Eq. 4-6) divide by H x W; like the paper's experiments, and everybody else's,

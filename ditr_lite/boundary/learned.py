@@ -2,7 +2,7 @@
 
 Two U-Nets of one shape: one looks at colour and finds all outlines, one looks at depth and finds those where depth
 jumps. Each predicts, per pixel, whether a boundary lies within a pixel of it; cut at a threshold chosen on the
-validation split, and thinned, that is a map one pixel wide. ``boundary_training`` trains them.
+validation split, and thinned, that is a map one pixel wide. ``training.boundary`` trains them.
 """
 
 from pathlib import Path

@@ -1,7 +1,7 @@
 """What a fair ablation needs: the same scenes on both sides, an interval, and more than one training seed.
 
 Paper: Sec. V-D and Table IV compare single runs by their means, in which the luck of the scenes and of the training is
-not told apart from the effect. ``summaries`` has the paired interval over scenes; here the seeds come in, and words.
+not told apart from the effect. Below stand the paired interval over scenes, the seeds, and words for both.
 """
 
 from collections.abc import Sequence
@@ -52,7 +52,7 @@ def unpaired_bootstrap(
 ) -> tuple[float, float, float]:
     """Return (mean of a - mean of b, low, high), 95 %, resampling the two lists apart, as if of different scenes.
 
-    Shown beside :func:`summaries.paired_bootstrap` to see what pairing is worth; use that one.
+    Shown beside :func:`paired_bootstrap` to see what pairing is worth; use that one.
 
     Raises:
         ValueError: for an empty list.

@@ -1,6 +1,6 @@
 """Checkers of the exercises on boundary maps: each prints a check mark, or a cross with the reason, and never raises.
 
-The right answers come from ``boundary`` and ``boundary_sam``, the files that the pipeline draws its guides with.
+The right answers come from ``boundary.maps`` and ``boundary.sam``, the files that the pipeline draws its guides with.
 """
 
 import numpy as np

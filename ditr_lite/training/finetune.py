@@ -86,7 +86,7 @@ def _refine(x: Tensor, refine: RefineConfig, threshold: Callable[[Tensor], Tenso
 
 
 def soft_compose(region: Tensor, depth_n: Tensor, valid: Tensor, optical: Tensor, geometric: Tensor) -> Tensor:
-    """Return the composed depth for a region between 0 and 1; for a hard one it is ``completion.compose``.
+    """Return the composed depth for a region between 0 and 1; for a hard one it is ``pipeline.compose``.
 
     Args:
         region: (B, 1, H, W) in [0, 1]; all others have this shape too.

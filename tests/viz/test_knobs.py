@@ -65,7 +65,8 @@ def test_panels_of_one_setting_lie_beneath_each_other_in_the_row_and_beside_each
 
 def test_the_static_row_loads_no_widgets():
     code = (
-        "import sys; from ditr_lite.knobs import knobs; knobs(lambda ax, k: None, {'k': [1]}, [{'k': 1}], live=False);"
+        "import sys; from ditr_lite.viz.knobs import knobs; "
+        "knobs(lambda ax, k: None, {'k': [1]}, [{'k': 1}], live=False);"
         "assert 'ipywidgets' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
