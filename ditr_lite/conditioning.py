@@ -20,11 +20,12 @@ STRAY_RATIO = 1.25  # a reading that differs from nearly all its neighbours by t
 
 @dataclass(frozen=True)
 class Bounds:
-    """Invertible map between metres and network units, in which distance itself does not matter.
+    """Invertible map between metres and network units in which distance itself does not matter.
 
-    ``u = (ln d - ln m) / h`` with ``m = sqrt(low high)`` and ``h = ln(high / low) / 2``: the logarithm of depth, ``low``
-    at -1 and ``high`` at 1. Between them it is kept, beyond them compressed once more, ``sign(u) (1 + ln |u|)``, so
-    that a room behind the table, or a stray reading, takes no room from the table. Nothing is clipped.
+    ``u = (ln d - ln m) / h`` with ``m = sqrt(low high)`` and ``h = ln(high / low) / 2``: the logarithm of depth,
+    ``low`` at -1 and ``high`` at 1. Between them it is kept, beyond them compressed once more,
+    ``sign(u) (1 + ln |u|)``: a room behind the table, or a stray reading, takes no room from the table. Nothing is
+    clipped.
 
     Both may be floats, for one frame, or tensors (B, 1, 1, 1), for a batch.
     """
@@ -202,7 +203,7 @@ def fill(depth_n: Tensor, known: Tensor) -> Tensor:
 
 
 def pool_readings(small: np.ndarray, image: np.ndarray) -> None:
-    """Give every cell of ``small`` (h, w) that is 0 the reading of ``image`` (H, W) in it that is closest to its centre.
+    """Give every cell of ``small`` (h, w) that is 0 the reading of ``image`` (H, W) that is closest to its centre.
 
     In place; a cell without any reading stays 0. Nothing happens where ``small`` is not smaller.
     """

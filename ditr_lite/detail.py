@@ -59,7 +59,8 @@ class DetailNet(nn.Module):
 
         Args:
             x: (B, 9, H, W) floating, channels as in ``CHANNELS``: decoded and raw depth (normalised), masks of
-                readings outside and inside the region, mask of the optical branch, RGB in [-1, 1], boundary map; H and W multiples of 8.
+                readings outside and inside the region, mask of the optical branch, RGB in [-1, 1], boundary map; H and
+                W multiples of 8.
 
         Returns:
             (B, 1, H, W), normalised like the decoded depth.
@@ -86,10 +87,10 @@ class DetailNet(nn.Module):
         )
 
     def predict(self, x: Tensor) -> tuple[Tensor, Tensor, list[Tensor]]:
-        """Return the residual (B, 1, H, W), the trust in readings (B, 2, H, W) in (0, 1), outside and inside the
-        region, and, per dilation, affinities.
+        """Return the residual (B, 1, H, W), the trust in readings (B, 2, H, W) and, per dilation, affinities.
 
-        Affinities are (B, 9, H, W) each, positive, and sum to 1 over the 9; see :func:`propagate`.
+        Trust lies in (0, 1), for readings outside and inside the region. Affinities are (B, 9, H, W) each, positive,
+        and sum to 1 over the 9; see :func:`propagate`.
         """
         if x.ndim != 4 or x.shape[1] != len(CHANNELS) or x.shape[2] % 2**LEVELS or x.shape[3] % 2**LEVELS:
             raise ValueError(

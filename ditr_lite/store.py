@@ -131,5 +131,7 @@ def load_parts(path: Path | str | None = None, name: str = "lite") -> tuple[Conf
         )
     card = read_card(path)
     config = from_dict(card["config"])
-    names = ["region", "autoencoder", "optical", "geometric"] + (["detail"] if config.detail.width else [])
+    names = ["region", "autoencoder", "optical", "geometric"]
+    names += ["encoder"] if config.unet.colour_channels else []
+    names += ["detail"] if config.detail.width else []
     return config, {part: load_part(part, path) for part in names}
