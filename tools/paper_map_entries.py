@@ -69,7 +69,7 @@ region.refine_region | test_region.py::test_refinement_agrees_with_the_naive_one
 refinement: median 7 × 7, then dilation 5 × 5 in 3 iterations
 
 S3 | done | 02_region_refinement | 6 · Train it as the paper says
-training.region_training.train_region | training/test_region_training.py::test_constants_are_the_papers
+training.as_the_paper.train_region | training/test_as_the_paper.py::test_constants_are_the_papers
 training of stage one: SGD, batch 16, momentum 0.9, weight decay 1e-4, 200 epochs, a mixed learning rate
 
 S4 | done | 02_region_refinement | 9 · Send the final error back through everything
