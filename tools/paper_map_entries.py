@@ -193,7 +193,7 @@ peers.compare.methods | peers/test_compare.py::test_every_method_is_asked_about_
 SRD; the idea: segment what the sensor gets wrong, then regress (a peer, composed with the region)
 
 C4 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
-peers.networks.aligned | peers/test_networks.py::test_alignment_undoes_a_scale_and_a_shift
+evaluation.protocols.fitted | peers/test_networks.py::test_alignment_undoes_a_scale_and_a_shift
 MiDaS; the idea: depth from colour up to scale and shift
 
 C5 | done | 04_ddpm_math | Who asks whom?

@@ -13,15 +13,16 @@ from typing import Any
 import numpy as np
 
 from .. import metrics
-from ..baselines import REGISTRY, compose
+from ..baselines import REGISTRY
+from ..baselines import compose as repaired
 from ..config import from_dict
 from ..data import Sample
 from ..evaluation.statistics import bootstrap_mean, format_interval, paired_bootstrap, ratio_bootstrap
 from ..paper.tables import T1, T4, T5
-from ..pipeline import Completion, Ditr, build
+from ..pipeline import Completion, Ditr, build, compose
+from ..stage_two import Plan
 from ..store import WEIGHTS, load_part, load_parts, read_card
 from ..studies.floor import reconstruct
-from ..studies.swaps import SWAPS, Swapped
 from .networks import load_peers
 
 RESULTS = WEIGHTS / "results_peers.json"
@@ -60,7 +61,7 @@ def arm_system(folder: Path | str, arm: str, seed: int) -> Ditr:
         config = replace(config, detail=replace(config.detail, width=0))
     parts, (_, shipped) = build(config), load_parts()
     for name, module in parts.items():
-        own = name not in ("region", "autoencoder")
+        own = name in ("optical", "geometric", "detail")
         module.load_state_dict(load_part(f"{arm}_{name}-{seed}", folder) if own else shipped[name])
     return Ditr(parts, config)
 
@@ -76,12 +77,18 @@ def methods(ditr: Ditr, folder: Path | str, seeds: Sequence[int] = (0, 1)) -> di
     Raises:
         ValueError: when something has not been trained.
     """
-    plain = Swapped(ditr, SWAPS["no detail"])
+    sampler = ditr.config.sampler
+
+    def plain(sample: Sample, out: Completion) -> np.ndarray:
+        steps, samples = sampler.steps, sampler.samples
+        painted = ditr.inpaint(sample.rgb, sample.depth, out.region, steps, samples, plan=Plan(detail=False))
+        return compose(sample.depth, painted.optical, painted.geometric, out.region)
+
     rows: dict[str, Method] = {
         SHIPPED: lambda s, out: out.depth,
         "true region": lambda s, out: ditr(s.rgb, s.depth, s.region).depth,
-        "no detail network": lambda s, out: plain(s.rgb, s.depth, out.region).depth,
-        "truth through the autoencoder": lambda s, out: compose(
+        "no detail network": plain,
+        "truth through the autoencoder": lambda s, out: repaired(
             reconstruct(ditr.parts["autoencoder"], s)[0], s.depth, out.region
         ),
         "one sample": lambda s, out: ditr(s.rgb, s.depth, out.region, samples=1).depth,
@@ -103,7 +110,7 @@ def methods(ditr: Ditr, folder: Path | str, seeds: Sequence[int] = (0, 1)) -> di
 
 
 def _composed(method) -> Method:
-    return lambda s, out: compose(method(s.rgb, s.depth, out.region), s.depth, out.region)
+    return lambda s, out: repaired(method(s.rgb, s.depth, out.region), s.depth, out.region)
 
 
 def run(frames, ditr: Ditr, rows: Mapping[str, Method]) -> dict[str, dict[str, dict[str, float | None]]]:
