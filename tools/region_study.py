@@ -53,14 +53,14 @@ def study_refinement(ditr, samples) -> dict:
 def study_finetuning(ditr, samples, data: Path, limit: int, steps: int, batch: int, seed: int) -> dict:
     """Return the measures of the validation scenes before and after each variant, and the paired differences."""
     scenes = load_scenes(data, limit)
-    painted = finetune.paint_once(ditr.parts, scenes, ditr.config, seed)
+    paints = finetune.whole_frames(finetune.frame_painters(ditr.parts, ditr.config), ditr.config, seed)
     before = measure(ditr, samples)
     out = {"scenes": len(scenes), "steps": steps, "batch": batch, "rate": finetune.RATE, "seed": seed, "before": before}
     for name, (weight, straight_through) in VARIANTS.items():
         model = copy.deepcopy(ditr.parts["region"])
-        curve = finetune.finetune_region(
-            model, scenes, painted, ditr.config.refine, steps, weight, straight_through, batch, seed=seed
-        )
+        how = {"batch": batch, "seed": seed}
+        curve = finetune.finetune_region(model, scenes, paints, ditr.config, steps, weight, straight_through, **how)
+        model.eval().requires_grad_(False)
         tuned = dl.Ditr(nn.ModuleDict({**ditr.parts, "region": model}), ditr.config)
         after = measure(tuned, samples)
         first, last = (

@@ -60,7 +60,7 @@ def arm_system(folder: Path | str, arm: str, seed: int) -> Ditr:
         config = replace(config, detail=replace(config.detail, width=0))
     parts, (_, shipped) = build(config), load_parts()
     for name, module in parts.items():
-        own = name not in ("region", "autoencoder")
+        own = name in ("optical", "geometric", "detail")
         module.load_state_dict(load_part(f"{arm}_{name}-{seed}", folder) if own else shipped[name])
     return Ditr(parts, config)
 
