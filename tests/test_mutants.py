@@ -29,6 +29,7 @@ FORMULAS = {  # each has its own family of mistakes
     "soft region (S4)",
     "prices of mistakes",
     "depth-aware map (I4)",
+    "true outlines",
     "shadows measured",
     "loss types guessed",
 }
