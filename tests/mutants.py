@@ -97,8 +97,6 @@ DIFFUSION = [
         ("v: levels swapped", "    return signal * eps - noise * x0", "    return noise * eps - signal * x0"),
         ("x0 of v: sign", "return signal * x_t - noise * v", "return signal * x_t + noise * v"),
         ("x0 of v: levels swapped", "return signal * x_t - noise * v", "return noise * x_t - signal * v"),
-        ("eps of v: sign", "return noise * x_t + signal * v", "return noise * x_t - signal * v"),
-        ("eps of v: noise level dropped", "return noise * x_t + signal * v", "return x_t + signal * v"),
         ("v read as eps", '"v": x0_from_v, "x0": lambda', '"v": x0_from_eps, "x0": lambda'),
     ),
     *family(
