@@ -257,7 +257,8 @@ def ranges():
     """Return {name: version range} of everything that environment.txt must pin."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    declared = [*project["dependencies"], *extras["simulate"], *extras["sam"], *extras["dev"]]
+    pinned = ("notebooks", "simulate", "sam", "dev")
+    declared = [*project["dependencies"], *(line for extra in pinned for line in extras[extra])]
     return {requirement.name: requirement.specifier for requirement in map(Requirement, declared)}
 
 
@@ -289,6 +290,31 @@ def test_every_third_party_import_is_declared(path):
     names = {DISTRIBUTIONS.get(root, root) for root in third_party_imports(path.read_text())}
     # pyrealsense2: extra "live", for a device that the tests do not have
     assert names - set(ranges()) - {"pyrealsense2"} == set()
+
+
+OPTIONAL = ("accelerate", "jupyterlab", "IPython", "ipywidgets", "plotly", "psutil", "diffusers", "transformers")
+OPTIONAL += ("mitsuba", "drjit", "pyrealsense2")
+
+
+def without_extras(code):
+    """Run Python code in a process in which nothing can be imported that only an extra installs."""
+    block = f"import sys; sys.modules.update(dict.fromkeys({OPTIONAL}))"  # None: ImportError
+    command = [sys.executable, "-c", f"{block}\n{code}"]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+
+
+def test_every_module_is_imported_without_any_extra():
+    modules = sorted({f"ditr_lite.{dotted(file)}".rstrip(".") for file in SOURCES} - {"ditr_lite.__main__"})
+    done = without_extras(f"import importlib\nfor name in {modules}: importlib.import_module(name)\nprint('all')")
+    assert done.stdout == "all\n", done.stderr
+    for missing in ("plotly", "transformers"):  # the block blocks
+        assert "ModuleNotFoundError" in without_extras(f"import {missing}").stderr
+
+
+def test_a_frame_is_completed_without_any_extra():
+    code = "import ditr_lite as dl; s = dl.load_sample(dl.list_samples('test')[0]); ditr = dl.Ditr.from_pretrained()\n"
+    done = without_extras(code + "print((ditr(s.rgb, s.depth).depth > 0).all())")
+    assert done.stdout == "True\n", done.stderr
 
 
 def test_environment_installs_the_package_and_no_torchvision():

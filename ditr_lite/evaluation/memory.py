@@ -9,7 +9,6 @@ from collections.abc import Callable
 from multiprocessing import get_context
 from pathlib import Path
 
-import psutil
 import torch
 
 from ..data import Sample
@@ -21,7 +20,15 @@ MEGABYTE = 1e6
 
 
 def peak_mb(fn: Callable[[], object], interval: float = INTERVAL_S) -> float:
-    """Return the largest resident memory of this process, in MB (1e6 bytes), while ``fn`` runs."""
+    """Return the largest resident memory of this process, in MB (1e6 bytes), while ``fn`` runs.
+
+    Raises:
+        ImportError: without psutil.
+    """
+    try:
+        import psutil
+    except ImportError:
+        raise ImportError("measuring memory needs psutil: pip install -e '.[notebooks]'") from None
     process, done = psutil.Process(), threading.Event()
     seen = [process.memory_info().rss]
 
