@@ -31,11 +31,11 @@ def test_touching_objects_are_both_marked_and_background_never():
 def test_scores_by_hand():
     pred, true = np.zeros((8, 8), bool), np.zeros((8, 8), bool)
     true[2, :] = True  # 8 pixels
-    pred[3, :4] = True  # 4 right at tolerance 1
+    pred[3, :4] = pred[1, :2] = True  # 6 right at tolerance 1, near 4 of the true ones
     pred[7, :4] = True  # 4 wrong
     assert precision_recall_f(pred, true, 0) == (0, 0, 0)
     precision, recall, f = precision_recall_f(pred, true, 1)
-    assert (precision, recall) == (0.5, 0.5) and f == pytest.approx(0.5)
+    assert (precision, recall) == (0.6, 0.5) and f == pytest.approx(6 / 11)
     assert precision_recall_f(true, true, 0) == (1, 1, 1)
 
 
