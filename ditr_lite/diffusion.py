@@ -79,12 +79,6 @@ def x0_from_v(x_t: Tensor, t: Tensor, v: Tensor, schedule: NoiseSchedule) -> Ten
     return signal * x_t - noise * v
 
 
-def eps_from_v(x_t: Tensor, t: Tensor, v: Tensor, schedule: NoiseSchedule) -> Tensor:
-    """Turn (predicted) velocity into noise: eps = sqrt(1 - abar_t) x_t + sqrt(abar_t) v."""
-    signal, noise = levels(t, schedule, x_t=x_t, v=v)
-    return noise * x_t + signal * v
-
-
 def to_x0(model_output: Tensor, x_t: Tensor, t: Tensor, schedule: NoiseSchedule, prediction: str) -> Tensor:
     """Read a model output as ``pred_x0``, whatever ("eps", "x0", "v") the model was trained to predict."""
     levels(t, schedule, x_t=x_t, model_output=model_output)

@@ -97,8 +97,6 @@ DIFFUSION = [
         ("v: levels swapped", "    return signal * eps - noise * x0", "    return noise * eps - signal * x0"),
         ("x0 of v: sign", "return signal * x_t - noise * v", "return signal * x_t + noise * v"),
         ("x0 of v: levels swapped", "return signal * x_t - noise * v", "return noise * x_t - signal * v"),
-        ("eps of v: sign", "return noise * x_t + signal * v", "return noise * x_t - signal * v"),
-        ("eps of v: noise level dropped", "return noise * x_t + signal * v", "return x_t + signal * v"),
         ("v read as eps", '"v": x0_from_v, "x0": lambda', '"v": x0_from_eps, "x0": lambda'),
     ),
     *family(
@@ -414,16 +412,31 @@ BOUNDARY = family(
     ("union for intersection", "return boundary_rgb & within(", "return boundary_rgb | within("),
     ("distance: equal is too far", "distance <= tolerance + 1e-4", "distance < tolerance - 1e-4"),
     ("distance: city blocks", "cv2.DIST_L2, cv2.DIST_MASK_PRECISE", "cv2.DIST_L1, 3"),
-    ("jump: signed", "(np.abs(z - y) > jump)", "(z - y > jump)"),
-    ("jump: within an object, too", "found = (a != b) & ", "found = "),
-    ("jump: unknown depth counts", " & (z > 0) & (y > 0) & ", " & "),
+)
+
+TRUTH = family(
+    "true outlines",
+    "boundary/truth",
+    ("jump: signed", "np.abs(depth_gt[first] - depth_gt[second]) > jump", "depth_gt[first] - depth_gt[second] > jump"),
+    ("jump: within an object, too", "found = differ & known", "found = known"),
+    ("jump: unknown depth counts", "differ & known & apart", "differ & apart"),
     ("jump: background is marked", "return outline & jumps", "return jumps"),
     ("precision: of the true pixels", "float(right / pred.sum())", "float(right / true.sum())"),
     ("recall: counts predictions", "float(hit / true.sum())", "float(right / true.sum())"),
     ("F: not harmonic", "float(2 * precision * recall / (precision + recall))", "(precision + recall) / 2"),
 )
 
-MUTANTS: list[Mutant] = [*SCHEDULE, *DIFFUSION, *AUTOENCODER, *ATTENTION, *METRICS, *PARTITION, *REGION, *BOUNDARY]
+MUTANTS: list[Mutant] = [
+    *SCHEDULE,
+    *DIFFUSION,
+    *AUTOENCODER,
+    *ATTENTION,
+    *METRICS,
+    *PARTITION,
+    *REGION,
+    *BOUNDARY,
+    *TRUTH,
+]
 
 
 def mutate(source: str, mutant: Mutant) -> str:

@@ -93,7 +93,7 @@ boundary.boundary_maps | test_pipeline.py::test_each_branch_has_its_own_boundary
 two extractors: M_DA guides the optical branch, M_RGB the geometric one
 
 S9 | done | 06_full_pipeline | 10 · Compose
-pipeline.compose | test_completion.py::test_composition_follows_the_rule_pixel_by_pixel
+pipeline.compose | test_composition.py::test_composition_follows_the_rule_pixel_by_pixel
 mask × depth splits to two branches; inside re-estimated, outside filled, the rest kept
 
 T1 | done | 07_metrics | 7 · Audit the paper's tables

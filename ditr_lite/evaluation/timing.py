@@ -18,7 +18,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import psutil
 import torch
 from torch import Tensor, nn
 from tqdm.auto import tqdm
@@ -226,6 +225,10 @@ def format_latency(rows: list[dict[str, Any]]) -> str:
 
 def peak_mb(fn: Callable[[], object], interval: float = INTERVAL_S) -> float:
     """Return the largest resident memory of this process, in MB (1e6 bytes), while ``fn`` runs."""
+    try:
+        import psutil
+    except ImportError:
+        raise ImportError("measuring memory needs psutil: pip install -e '.[notebooks]'") from None
     process, done = psutil.Process(), threading.Event()
     seen = [process.memory_info().rss]
 
