@@ -1,5 +1,6 @@
 """tools/student_copy.py: exercises that nbgrader can mark, work that is kept, a first cell that installs."""
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -136,6 +137,26 @@ def test_every_exercise_can_be_marked(path):
     answers, checkers = marks[::2], marks[1::2]
     assert all(mark.solution and not mark.grade for mark in answers)
     assert all(mark.grade and mark.locked and mark.points > 0 for mark in checkers)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_nothing_depends_on_an_answer(path):
+    """So an unsolved copy runs to its end as the notebook itself does, which is executed cell by cell elsewhere."""
+    solved = students.student_copy(nbformat.read(path, as_version=4), path.stem, solved=True)
+    answers, others = set(), []
+    for cell in solved.cells:
+        mark = cell.metadata.get("nbgrader", {})
+        if mark.get("solution"):
+            answers |= set(students.functions_in(cell.source))
+        elif cell.cell_type == "code" and not mark and not cell.source.startswith("%"):
+            others.append(cell.source)
+    used = {node.id for source in others for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name)}
+    made = {node.id for node in ast.walk(ast.parse("\n".join(others))) if _is_stored(node)}
+    assert answers & (used - made) == set()
+
+
+def _is_stored(node):
+    return isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
 
 
 def test_the_install_cell_does_nothing_where_the_package_is():
