@@ -4,8 +4,8 @@
 
 FOLDER holds student copies (``make students``) in any arrangement, for example ``ann/00_start_here.ipynb``. Which
 notebook a file is stands in its metadata, or in its name. Only its set-up cell and its exercises are run, each file in
-a fresh kernel; where a name is missing then, and with ``--whole``, all of it. The checkers are ours, whatever the file holds in
-their place; each runs in a cell of its own.
+a fresh kernel; where a name is missing then, and with ``--whole``, all of it. The checkers are ours, whatever the file
+holds in their place; each runs in a cell of its own.
 
 Nothing of a submission runs in this repository or in FOLDER: each gets a temporary copy of the package and of the data
 samples, which is thrown away, an own home folder, and no variable of your environment that it does not need. It still
