@@ -61,12 +61,15 @@ def install(requirements):
 
 
 def slim():
-    """Remove what PyTorch brings for C++ programmers and its own tests: 0.2 GB that no notebook uses."""
+    """Remove what PyTorch brings for C++ programmers, and the tests of packages: 0.2 GB that no notebook uses."""
     for torch in VENV.glob("**/site-packages/torch"):
         for folder in ("include", "test"):
             shutil.rmtree(torch / folder, ignore_errors=True)
         for program in [*torch.glob("bin/*test*"), *torch.glob("bin/*Test*"), *torch.glob("bin/protoc*")]:
             program.unlink()
+    for package in ("numpy", "scipy", "skimage", "sympy"):
+        for folder in [*VENV.glob(f"**/site-packages/{package}/**/tests")]:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 # --- running ----------------------------------------------------------------------------------------------------------
