@@ -6,13 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import grade
 import nbformat
 import pytest
-from nbformat.v4 import new_code_cell, new_notebook, new_output
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
-import grade
 import student_copy
+from nbformat.v4 import new_code_cell, new_notebook, new_output
 
 ROOT = Path(__file__).resolve().parents[1]
 NAME = "00_start_here"

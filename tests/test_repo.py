@@ -186,8 +186,8 @@ def third_party_imports(source):
             roots |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             roots.add(node.module.split(".")[0])
-    beside = {path.stem for folder in ("tests", "tools") for path in (ROOT / folder).glob("*.py")}  # on the path
-    return roots - sys.stdlib_module_names - beside - {"ditr_lite"}
+    beside = {path.stem for folder in ("tests", "tools") for path in (ROOT / folder).glob("*.py")}  # on pytest's path
+    return roots - sys.stdlib_module_names - beside - {"ditr_lite", "tasks"}
 
 
 @per_file(PYTHON)

@@ -1,16 +1,13 @@
 """tools/slides.py: which cell is which slide; a deck asks no network for anything and describes its figures."""
 
 import re
-import sys
 from pathlib import Path
 
 import nbformat
 import pytest
-from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 import slides
 import vendor
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
 ROOT = Path(__file__).resolve().parents[1]
 PNG = "iVBORw0KGgo="

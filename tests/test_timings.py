@@ -1,15 +1,12 @@
 """tools/timings.py: a notebook is measured without being changed, and the tables are those of the stored figures."""
 
 import json
-import sys
 from pathlib import Path
 
 import nbformat
 import pytest
-from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 import timings
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 ROOT = Path(__file__).resolve().parents[1]
 ROW = {"seconds": 12.3, "peak_memory_mb": 1234, "slowest_part": "2 · Wait", "slowest_part_seconds": 9.6}
