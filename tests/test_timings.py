@@ -57,8 +57,27 @@ def test_the_tables_are_up_to_date():
     assert timings.main(["--check"]) == 0
 
 
-def test_every_notebook_was_measured():
-    stored = json.loads((ROOT / "notebooks" / "timings.json").read_text(encoding="utf-8"))
-    assert set(stored["notebooks"]) <= {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")}
-    for row in stored["notebooks"].values():
+def test_what_is_stored_are_notebooks_of_the_collection():
+    stored = ROOT / "notebooks" / "timings.json"
+    rows = json.loads(stored.read_text(encoding="utf-8"))["notebooks"] if stored.exists() else {}
+    assert set(rows) <= {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")}
+    for row in rows.values():
         assert 0 < row["slowest_part_seconds"] <= row["seconds"] and row["peak_memory_mb"] > 50
+
+
+def test_before_the_first_measurement_the_table_says_so():
+    assert "make timings" in timings.with_table(PAGE, {"notebooks": {}})
+
+
+def test_a_busy_machine_is_warned_of(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(timings, "ROOT", tmp_path)
+    monkeypatch.setattr(timings, "_on_two_cores", lambda: None)
+    monkeypatch.setattr(timings, "measure", lambda path: ROW)
+    (tmp_path / "notebooks").mkdir()
+    for name in timings.PAGES:
+        (tmp_path / name).write_text(PAGE, encoding="utf-8")
+    for busy in (90, 3):
+        monkeypatch.setattr(timings.psutil, "cpu_percent", lambda interval, busy=busy: busy)
+        assert timings.main(["00_a.ipynb"]) == 0
+        assert ("busy (90 %)" in capsys.readouterr().err) == (busy == 90)
+    assert "| 00_a | 12 |" in (tmp_path / "README.md").read_text(encoding="utf-8")

@@ -23,6 +23,7 @@ from nbclient import NotebookClient
 
 ROOT = Path(__file__).resolve().parents[1]
 CORES = 2
+BUSY = 20  # per cent of all cores, above which other programs spoil the times
 PAGES = ("README.md", "notebooks/INSTRUCTOR.md")
 BEGIN, END = "<!-- timings: tools/timings.py -->", "<!-- end of timings -->"
 HEADING = re.compile(r"^#+ +(.+)$", re.MULTILINE)
@@ -91,6 +92,8 @@ def measure(path: Path) -> dict:
 
 def table(timings: dict) -> str:
     """Return the table of all notebooks in Markdown, with a line that says where and how it was measured."""
+    if not timings["notebooks"]:
+        return "Not measured yet: `make timings`."
     lines = ["| notebook | seconds | peak memory | longest wait |", "|---|---:|---:|---|"]
     for name, row in sorted(timings["notebooks"].items()):
         wait = f"{row['slowest_part']}, {row['slowest_part_seconds']:.0f} s"
@@ -161,6 +164,9 @@ def main(arguments: list[str] | None = None) -> int:
     timings = json.loads(stored.read_text(encoding="utf-8")) if stored.exists() else {"notebooks": {}}
     if not (options.check or options.tables):
         _on_two_cores()
+        busy = psutil.cpu_percent(interval=1)
+        if busy > BUSY:
+            print(f"timings: the machine is busy ({busy:.0f} %), the times will be too long", file=sys.stderr)
         timings["machine"] = {"processor": _processor(), "python": f"Python {platform.python_version()}"}
         for path in options.notebooks or sorted((ROOT / "notebooks").glob("*.ipynb")):
             timings["notebooks"][path.stem] = measure(path)
