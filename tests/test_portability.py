@@ -3,6 +3,8 @@
 import ast
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import nbformat
@@ -106,3 +108,28 @@ def test_binder_installs_the_light_set():
     [torch] = [Requirement(line) for line in lines if line.startswith("torch")]
     assert torch.specifier.contains(pins("environment-class.txt")["torch"] + "+cpu")
     assert re.fullmatch(r"python-3\.1\d\n", (ROOT / "binder" / "runtime.txt").read_text())
+
+
+LIGHT_NOTEBOOKS = [path for path in NOTEBOOKS if path.name[:2] in {"00", "01", "02", "03", "04", "06", "07"}]
+# In this process the packages that the light set leaves out cannot be imported.
+WITHOUT = """
+import sys
+for name in {missing}:
+    sys.modules[name] = None
+for source in {sources}:
+    exec(source, {{}})
+"""
+
+
+def test_the_light_set_is_enough_for_the_imports_of_its_notebooks():
+    sources = []
+    for path in LIGHT_NOTEBOOKS:
+        cells = [cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
+        trees = [ast.parse(cell) for cell in cells if not cell.startswith("%")]
+        imports = [n for tree in trees for n in ast.walk(tree) if isinstance(n, ast.Import | ast.ImportFrom)]
+        sources.append("\n".join(map(ast.unparse, imports)))
+    missing = ["accelerate", "diffusers", "hypothesis", "mitsuba", "plotly", "transformers"]
+    code = WITHOUT.format(missing=missing, sources=sources)
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+    with pytest.raises(subprocess.CalledProcessError):
+        subprocess.run([sys.executable, "-c", code + "\nimport plotly"], check=True, cwd=ROOT, capture_output=True)
