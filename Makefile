@@ -51,8 +51,8 @@ notebooks: $(STAMP) ## execute all notebooks in place, in order
 students: $(STAMP) ## copies of the notebooks without the solutions, in outputs/student
 	$(PY) tools/student_copy.py
 
-book: $(STAMP) ## all notebooks as web pages, in outputs/book
-	$(PY) tools/book.py
+book: $(STAMP) ## all notebooks, a reference and more as a site that needs no network, in outputs/book
+	$(PY) book/build.py
 
 samples: $(STAMP) ## render the shipped scenes again, into outputs/samples
 	$(PY) -m ditr_lite simulate --out outputs/samples $(ARGS)

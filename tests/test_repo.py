@@ -163,7 +163,7 @@ def ranges():
     """Return {name: version range} of everything that environment.txt must pin."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    declared = [*project["dependencies"], *extras["simulate"], *extras["sam"], *extras["dev"]]
+    declared = [*project["dependencies"], *extras["simulate"], *extras["sam"], *extras["book"], *extras["dev"]]
     return {requirement.name: requirement.specifier for requirement in map(Requirement, declared)}
 
 
