@@ -22,7 +22,7 @@ suppress_warnings = ["myst.header", "misc.highlighting_failure"]
 nb_execution_mode = "off"
 nb_merge_streams = True
 nb_output_stderr = "show"
-nb_number_source_lines = False
+nb_ipywidgets_js = {}  # nothing is live, and these would come from other hosts
 
 myst_enable_extensions = ["amsmath", "attrs_inline", "deflist", "dollarmath"]
 myst_heading_anchors = 4
@@ -33,7 +33,6 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
 python_use_unqualified_type_names = True
-python_maximum_signature_line_length = 78
 add_module_names = False
 napoleon_numpy_docstring = False
 napoleon_use_rtype = False
@@ -54,7 +53,7 @@ html_show_sourcelink = False
 html_show_sphinx = False
 html_permalinks_icon = "#"
 html_theme_options = {"navigation_with_keys": False, "top_of_page_buttons": []}
-html_last_updated_fmt = None
+html_domain_indices = False
 
 
 def _plain_text(app, what, name, obj, options, lines: list[str]) -> None:
@@ -73,8 +72,16 @@ def _only_ours(app, what, name, obj, skip: bool, options) -> bool | None:
     return True if not (getattr(obj, "__module__", None) or "ditr_lite").startswith("ditr_lite") else None
 
 
+def _roles(app, pagename, templatename, context, doctree) -> None:
+    """Mend what a screen reader is told: levels of the side bar's headings, and names of folds that hide their words."""
+    tree = context.get("furo_navigation_tree", "")
+    context["furo_navigation_tree"] = tree.replace('role="heading"', 'role="heading" aria-level="2"')
+    context["body"] = context.get("body", "").replace('<summary aria-label="Toggle hidden content">', "<summary>")
+
+
 def setup(app) -> dict[str, bool]:
-    """Connect what happens to members and to docstrings, these before napoleon reads them (400 < 500)."""
+    """Connect the changes to members, docstrings (before napoleon reads them: 400 < 500) and pages."""
     app.connect("autodoc-skip-member", _only_ours)
     app.connect("autodoc-process-docstring", _plain_text, priority=400)
+    app.connect("html-page-context", _roles, priority=900)  # after furo's own
     return {"parallel_read_safe": True}

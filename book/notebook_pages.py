@@ -96,6 +96,7 @@ def page(notebook: nbformat.NotebookNode, name: str) -> nbformat.NotebookNode:
         ValueError: for solution markers that do not pair up.
     """
     result = copy.deepcopy(notebook)
+    result.metadata.pop("widgets", None)  # their state at the time of saving
     cells = []
     for cell in result.cells:
         if cell.cell_type == "markdown":

@@ -1,8 +1,8 @@
 // What scrolls sideways can be reached and scrolled with the keyboard, and says what it is.
 "use strict";
 (function () {
-  const WIDE = ".table-wrapper, article pre, mjx-container[display='true']";
-  const NAMES = { DIV: "table", PRE: "code or output", "MJX-CONTAINER": "formula" };
+  const WIDE = ".table-wrapper, .cell_output, article pre, mjx-container[display='true']";
+  const NAMES = { DIV: "table or figure", PRE: "code or output", "MJX-CONTAINER": "formula" };
 
   function reach() {
     for (const box of document.querySelectorAll(WIDE)) {
