@@ -12,8 +12,8 @@ import numpy as np
 from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
-from ditr_lite.data import Sample
-from ditr_lite.loss_types import check_depth, check_mask
+from .data import Sample
+from .units import check_depth, check_mask
 
 Fill = Callable[[np.ndarray, np.ndarray, np.ndarray | None], np.ndarray]
 

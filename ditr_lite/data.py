@@ -13,44 +13,12 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from .camera import Camera, Stereo
+from .units import clean_depth, depth_to_png
+
 SAMPLES = Path(__file__).resolve().parents[1] / "data_samples"
 SPLITS = ("train", "val", "test")
 OPAQUE, TRANSPARENT, REFLECTIVE = 0, 1, 2  # values of Sample.material
-MAX_DEPTH_M = 65.0  # 16-bit millimetres end at 65.535 m: readings beyond this are codes for "no reading"
-
-
-@dataclass(frozen=True)
-class Camera:
-    """Pinhole camera, in pixels: x right, y down, z forward; pixel (u, v) has its centre at the integer (u, v)."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    width: int
-    height: int
-
-    def resized(self, width: int, height: int) -> "Camera":
-        """Return the same camera with its image resized to ``width`` x ``height``."""
-        sx, sy = width / self.width, height / self.height
-        return Camera(self.fx * sx, self.fy * sy, (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5, width, height)
-
-
-@dataclass(frozen=True)
-class Stereo:
-    """The infrared pair behind a raw depth frame: rectified cameras, left one reprojected into the RGB view.
-
-    ``rgb_from_left`` is the 4 x 4 rigid motion (metres) that takes left-IR camera coordinates to RGB camera
-    coordinates. The right camera sits ``baseline_m`` along +x of the left one.
-    """
-
-    camera: Camera
-    baseline_m: float
-    rgb_from_left: tuple[tuple[float, ...], ...]
-
-    def motion(self) -> np.ndarray:
-        """Return ``rgb_from_left`` as a (4, 4) float64 array."""
-        return np.asarray(self.rgb_from_left, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -90,18 +58,6 @@ class Sample:
 
 
 LABELS = ("material", "instances", "loss", "cause", "ir_left", "ir_right")
-
-
-def clean_depth(depth: np.ndarray) -> np.ndarray:
-    """Return depth as float32 metres with NaN, infinite, negative and absurd readings set to 0 (missing)."""
-    depth = np.array(depth, dtype=np.float32)
-    depth[~(np.isfinite(depth) & (depth > 0) & (depth < MAX_DEPTH_M))] = 0
-    return depth
-
-
-def depth_to_png(depth_m: np.ndarray) -> np.ndarray:
-    """Return (H, W) uint16 millimetres of a depth map in metres, 0 staying 0."""
-    return np.clip(np.rint(depth_m * 1000.0), 0, 65535).astype(np.uint16)
 
 
 def save_sample(sample: Sample, folder: Path | str, jpeg_quality: int = 92) -> None:

@@ -11,8 +11,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ditr_lite.config import DetailConfig
-from ditr_lite.unet import norm
+from .config import DetailConfig
+from .unet import norm
 
 CHANNELS = ("decoded", "raw", "known", "branch", "red", "green", "blue", "boundary")  # of the input, in this order
 LEVELS = 3  # at strides 2, 4 and 8

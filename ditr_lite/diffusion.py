@@ -29,7 +29,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from ditr_lite.schedule import NoiseSchedule, check_prediction, check_timesteps, levels
+from .schedule import NoiseSchedule, check_prediction, check_timesteps, levels
 
 
 def q_sample(x0: Tensor, t: Tensor, eps: Tensor, schedule: NoiseSchedule) -> Tensor:

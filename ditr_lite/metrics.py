@@ -1,45 +1,34 @@
-"""Scores of one frame: RMSE, MAE, REL, delta and CRPS, and where they are taken; masks. ``summaries`` has the rest.
+"""Scores of one frame: RMSE, MAE, REL, delta and CRPS, and where they are taken; masks; averages of many frames.
 
 Depth is in metres. Ground truth of 0 means unknown and is never scored. Shares are in per cent, REL is a plain ratio.
 The printed formulas (Paper: Sec. III, Eq. 4-6) divide by H x W; like the paper's experiments, and everybody else's,
 these divide by the number of pixels that have ground truth.
 """
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
-from ditr_lite.audit import audit_table
-from ditr_lite.loss_types import check_depth, check_mask
-from ditr_lite.summaries import (
-    METRICS,
-    SETS,
-    Scores,
-    average,
-    bootstrap_mean,
-    format_interval,
-    format_table,
-    paired_bootstrap,
-    ratio_bootstrap,
-)
+from .units import check_depth, check_mask
+
+SETS = ("whole", "optical", "optical_valid", "geometric", "outside")
+METRICS = ("rmse", "mae", "rel", "d105", "d110", "d125")
+Scores = dict[str, float]  # one entry per METRICS, plus "n", the number of pixels
 
 __all__ = [
     "METRICS",
     "SETS",
     "Scores",
     "area_ratio",
-    "audit_table",
     "average",
-    "bootstrap_mean",
     "crps",
     "delta",
     "evaluate",
-    "format_interval",
     "format_table",
     "iou",
     "mae",
     "miss_rate",
-    "paired_bootstrap",
     "pixel_sets",
-    "ratio_bootstrap",
     "rel",
     "rmse",
 ]
@@ -216,7 +205,7 @@ def _scored(pred: np.ndarray, gt: np.ndarray, mask: np.ndarray | None) -> tuple[
     gt = np.asarray(gt)
     pred = _dense(pred, gt.shape)
     if not (np.isfinite(gt) & (gt >= 0)).all():
-        raise ValueError("gt has negative or non-finite values; call data.clean_depth first (0 means unknown)")
+        raise ValueError("gt has negative or non-finite values; call units.clean_depth first (0 means unknown)")
     chosen = gt > 0 if mask is None else (gt > 0) & check_mask("mask", mask, gt.shape)
     if not chosen.any():
         raise ValueError("no pixel to score: the ground truth is 0 (unknown) everywhere in the mask")
@@ -245,3 +234,70 @@ def _masks(pred: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _ratio(part: int, whole: int) -> float | None:
     return float(part / whole) if whole else None
+
+
+def average(results: Sequence[Mapping[str, Scores | None]]) -> dict[str, dict | None]:
+    """Return the mean over images of what :func:`metrics.evaluate` gave for each, with the pooled value beside it.
+
+    The mean leaves out images without such pixels. "pooled" is the score of all pixels of all images thrown together:
+    it weighs an image by its pixels, and pooled RMSE averages squares before the root. Mixing the two within one table
+    can put RMSE below MAE, which neither kind of average alone can do (as happens in the paper's Table V).
+
+    Returns:
+        One entry per set: {each metric: mean over images, "n": pixels, "images": images with such pixels,
+        "pooled": {each metric: pooled value}}, or None where no image has such pixels.
+
+    Raises:
+        ValueError: for an empty list.
+    """
+    if not results:
+        raise ValueError("nothing to average: give the list of evaluate(...) results, one per image")
+    return {name: _average([r[name] for r in results if r[name] is not None]) for name in SETS}
+
+
+def format_table(rows: Mapping[str, Mapping[str, Scores | None]], sets: Sequence[str] = SETS) -> str:
+    """Return a plain-text table, one block per pixel set and one line per method; RMSE and MAE in millimetres.
+
+    Args:
+        rows: method name -> what :func:`metrics.evaluate` or :func:`average` returned.
+        sets: the pixel sets to show, in order.
+    """
+    if not rows:
+        raise ValueError("nothing to show: give a mapping from method name to evaluate(...) or average(...) result")
+    width = max(len(name) for name in [*rows, "method"])
+    header = "method".ljust(width) + "".join(title.rjust(9) for title, _, _ in _COLUMNS.values())
+    lines: list[str] = []
+    for key in sets:
+        pixels = max((row[key]["n"] for row in rows.values() if row.get(key)), default=0)
+        lines += [f"{key} ({pixels:,} pixels)", header]
+        for name, row in rows.items():
+            found = row.get(key) or {}
+            cells = (
+                f"{scale * found[m]:9.{digits}f}" if found else "-".rjust(9)
+                for m, (_, scale, digits) in _COLUMNS.items()
+            )
+            lines.append(name.ljust(width) + "".join(cells))
+        lines.append("")
+    return "\n".join(lines)
+
+
+_COLUMNS = {  # metric: title, factor, decimals
+    "rmse": ("RMSE mm", 1000, 1),
+    "mae": ("MAE mm", 1000, 1),
+    "rel": ("REL", 1, 4),
+    "d105": ("d1.05 %", 1, 2),
+    "d110": ("d1.10 %", 1, 2),
+    "d125": ("d1.25 %", 1, 2),
+}
+
+
+def _average(scores: list[Scores]) -> dict | None:
+    if not scores:
+        return None
+    n = np.array([s["n"] for s in scores], dtype=np.float64)
+    columns = {m: np.array([s[m] for s in scores]) for m in METRICS}
+    total = max(n.sum(), 1)  # a protocol may count images that have no such pixels
+    pooled = {m: float(n @ values / total) for m, values in columns.items()}
+    pooled["rmse"] = float(np.sqrt(n @ columns["rmse"] ** 2 / total))
+    means = {m: float(values.mean()) for m, values in columns.items()}
+    return means | {"n": int(n.sum()), "images": len(scores), "pooled": pooled}

@@ -26,7 +26,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from ditr_lite.config import PREDICTIONS, ScheduleConfig
+from .config import PREDICTIONS, ScheduleConfig
 
 MAX_BETA = 0.999  # a beta of 1 would erase the signal in one step
 

@@ -10,8 +10,8 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from ditr_lite.config import Config, from_dict, preset, to_dict
-from ditr_lite.files import written_whole
+from .config import Config, from_dict, preset, to_dict
+from .files import written_whole
 
 WEIGHTS = Path(__file__).resolve().parent / "weights"
 CARD = "card.json"

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
-from ditr_lite.config import UNetConfig
+from .config import UNetConfig
 
 Maps = list[Tensor]  # F(x): one map per level, finest first
 STRIDE = 4  # pixels per latent cell and side (S5: sampling scale 4)

@@ -35,7 +35,8 @@ class Mutant(NamedTuple):
     @property
     def tests(self) -> str:
         """The test file that must notice."""
-        return f"tests/test_{self.file}.py"
+        room, _, leaf = self.file.rpartition("/")
+        return str(Path("tests", room, f"test_{leaf}.py"))
 
 
 def family(formula: str, file: str, *rows: tuple[str, str, str]) -> list[Mutant]:
@@ -261,16 +262,20 @@ METRICS = [
     ),
     *family(
         "averages and intervals",
-        "summaries",
+        "metrics",
         ("pooled RMSE: of roots", 'columns["rmse"] ** 2 / total', 'columns["rmse"] / total'),
         ("pooled: not weighed", "float(n @ values / total)", "float(values.mean())"),
+    ),
+    *family(
+        "averages and intervals",
+        "evaluation/statistics",
         ("interval: 90 per cent", "mean(axis=1), [2.5, 97.5]", "mean(axis=1), [5.0, 95.0]"),
         ("interval of a ratio: 90 per cent", "over / under, [2.5, 97.5]", "over / under, [5.0, 95.0]"),
         ("ratio: mean of ratios", "pairs[:, 0].mean() / pairs[:, 1].mean()", "(pairs[:, 0] / pairs[:, 1]).mean()"),
     ),
     *family(
         "audit of tables",
-        "audit",
+        "paper/audit",
         ("RMSE and MAE swapped", 'v["mae"] - v["rmse"] > 2', 'v["rmse"] - v["mae"] > 2'),
         ("rounding: not allowed for", 'v["rmse"] > 2 * half + TINY', 'v["rmse"] > TINY'),
         ("shares: direction", "if a - b > 2 * half_share", "if b - a > 2 * half_share"),
@@ -287,7 +292,7 @@ METRICS = [
     ),
     *family(
         "protocols",
-        "protocols",
+        "evaluation/protocols",
         ("input: dropped, not clipped", "if self.clip else np", "if not self.clip else np"),
         ("input: near readings kept", "np.where(depth < self.near_m, 0, far)", "far"),
         ("truth: range ignored", "(truth > self.truth_m[0]) & (truth < self.truth_m[1])", "(truth > 0)"),
@@ -317,13 +322,17 @@ PARTITION = [
         ("wrong: 2 mm", "WRONG_ABS_M = 0.010", "WRONG_ABS_M = 0.002"),
         ("missing counts as wrong", "np.where(depth == 0, 2, wrong)", "np.where(depth == 0, 1, wrong)"),
         ("unknown truth labelled", "codes[depth_gt == 0]", "codes[depth_gt < 0]"),
+    ),
+    *family(
+        "labels and parallax",
+        "camera",
         ("shadow: sign", "(1 / z_near - 1 / z_far)", "(1 / z_far - 1 / z_near)"),
         ("shadow: focal length dropped", "return fx * baseline_m *", "return baseline_m *"),
         ("reprojection: farthest wins", "np.minimum.at(nearest", "np.maximum.at(nearest"),
     ),
     *family(
         "shadows measured",
-        "shadows",
+        "studies/shadows",
         ("moved the other way", "motion[0, 3] = offset_m", "motion[0, 3] = -offset_m"),
         ("raster not divided by", "(end - int(filled[-1])) / FINE", "(end - int(filled[-1]))"),
         ("near and far swapped", "shadow_width_px(near, far, offset_m", "shadow_width_px(near, 2 * far, offset_m"),
@@ -334,7 +343,7 @@ PARTITION = [
     ),
     *family(
         "loss types guessed",
-        "loss_estimate",
+        "studies/loss_estimate",
         ("inside: every reading believed", "depth > (1 - IN_FRONT) * surroundings", "depth < 0"),
         (
             "inside: in front means wrong",
@@ -358,7 +367,7 @@ PARTITION = [
 REGION = [
     *family(
         "learning rates (S3)",
-        "region_training",
+        "training/region_training",
         ("cosine: whole period", "math.cos(math.pi * p)", "math.cos(2 * math.pi * p)"),
         ("cosine: not halved", "(1 + math.cos(math.pi * p)) / 2", "(1 + math.cos(math.pi * p))"),
         ("exponential: rises", "math.exp(-fall * p)", "math.exp(fall * p)"),
@@ -369,7 +378,7 @@ REGION = [
     ),
     *family(
         "soft region (S4)",
-        "finetune",
+        "training/finetune",
         ("threshold: at 0", "torch.sigmoid(steepness * (x - 0.5))", "torch.sigmoid(steepness * x)"),
         ("vote: no threshold", "x = threshold(F.avg_pool2d(", "x = (F.avg_pool2d("),
         ("vote: border of zeros", 'mode="replicate"', 'mode="constant"'),
@@ -385,17 +394,21 @@ REGION = [
     ),
     *family(
         "prices of mistakes",
-        "region_scores",
+        "studies/regions",
         ("missed: false alarms", "known & sample.region & ~region\n", "known & ~sample.region & region\n"),
         ("discarded: holes too", "~sample.region & (sample.depth > 0)", "~sample.region"),
         ("price: sign", "(error - base)[pixels]", "(base - error)[pixels]"),
+    ),
+    *family(
+        "prices of mistakes",
+        "evaluation/stage_one",
         ("recall: by name", "metrics.miss_rate(found > 0,", "metrics.miss_rate(found == code,"),
     ),
 ]
 
 BOUNDARY = family(
     "depth-aware map (I4)",
-    "boundary",
+    "boundary/maps",
     ("as printed: no tolerance", "boundary_rgb & within(boundary_depth, tolerance)", "boundary_rgb & boundary_depth"),
     ("the other map is grown", "boundary_rgb & within(boundary_depth,", "boundary_depth & within(boundary_rgb,"),
     ("union for intersection", "return boundary_rgb & within(", "return boundary_rgb | within("),
@@ -435,8 +448,8 @@ def run_tests(mutant: Mutant | None, tests: Sequence[str]) -> tuple[int, str, fl
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
         shutil.copytree(ROOT / "ditr_lite", copy / "ditr_lite", ignore=shutil.ignore_patterns("weights", "__pycache__"))
-        (copy / "tests").mkdir()
         for test in tests:
+            (copy / test).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / test, copy / test)
         if mutant is not None:
             target = copy / "ditr_lite" / f"{mutant.file}.py"
@@ -448,6 +461,7 @@ def run_tests(mutant: Mutant | None, tests: Sequence[str]) -> tuple[int, str, fl
             "no:cacheprovider",
             "-p",
             "no:nbval",
+            "--import-mode=importlib",
             "--rootdir",
             folder,
             "-k",

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ditr_lite import baselines
-from ditr_lite.completion import check_inputs, compose, expected_error
 from ditr_lite.config import StdConfig
+from ditr_lite.pipeline import check_inputs, compose, expected_error
 
 SHAPE = (5, 7)
 METRES = st.floats(0.0625, 8, width=32)

@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ditr_lite import data
-from ditr_lite.data import Camera, Sample, Stereo
+from ditr_lite import data, units
+from ditr_lite.camera import Camera, Stereo
+from ditr_lite.data import Sample
 
 
 def make_sample(name="test_0001", seed=0):
@@ -141,7 +142,7 @@ def test_a_meta_file_that_is_no_use_is_named(tmp_path, text, found):
 
 def test_clean_depth_on_every_kind_of_bad_reading():
     raw = np.array([0.5, np.nan, np.inf, -np.inf, -1.0, 65.535, 0.0, 64.0])
-    clean = data.clean_depth(raw)
+    clean = units.clean_depth(raw)
     assert clean.dtype == np.float32
     np.testing.assert_array_equal(clean, np.array([0.5, 0, 0, 0, 0, 0, 0, 64], np.float32))
     assert np.isnan(raw[1])  # the input is left alone
@@ -150,9 +151,9 @@ def test_clean_depth_on_every_kind_of_bad_reading():
 @settings(max_examples=50, deadline=None)
 @given(arrays(np.float32, (3, 4), elements=st.floats(width=32)))
 def test_clean_depth_is_idempotent_and_bounded(raw):
-    clean = data.clean_depth(raw)
-    assert np.isfinite(clean).all() and (clean >= 0).all() and (clean < data.MAX_DEPTH_M).all()
-    np.testing.assert_array_equal(clean, data.clean_depth(clean))
+    clean = units.clean_depth(raw)
+    assert np.isfinite(clean).all() and (clean >= 0).all() and (clean < units.MAX_DEPTH_M).all()
+    np.testing.assert_array_equal(clean, units.clean_depth(clean))
     kept = clean > 0
     np.testing.assert_array_equal(clean[kept], raw[kept])
 
@@ -160,7 +161,7 @@ def test_clean_depth_is_idempotent_and_bounded(raw):
 @settings(max_examples=50, deadline=None)
 @given(arrays(np.float32, (3, 4), elements=st.floats(0, 60, width=32)))
 def test_millimetres_are_right_to_half_of_one(depth):
-    png = data.depth_to_png(depth)
+    png = units.depth_to_png(depth)
     assert png.dtype == np.uint16
     assert np.abs(png / 1000.0 - depth).max() <= 0.0005 + 4e-6  # float32 spacing at 60 m
     assert (png[depth == 0] == 0).all()

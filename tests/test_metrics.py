@@ -10,6 +10,8 @@ from hypothesis.extra.numpy import arrays
 
 from ditr_lite import metrics as M
 
+PIXELS = arrays(np.float64, 12, elements=st.floats(0.05, 10.0))
+
 PRED, TRUTH = np.array([1.1, 2.0, 3.0]), np.array([1.0, 2.0, 4.0])
 METRES = st.floats(0.05, 10.0)
 MAPS = arrays(np.float64, (3, 4), elements=METRES)
@@ -207,3 +209,45 @@ def test_other_bad_input_is_refused_with_advice():
         M.delta(pred, truth, 0.05)
     with pytest.raises(ValueError, match="axis 0"):
         M.crps(pred, truth)
+
+
+def scores(rmse: float, n: int, **sets) -> dict:
+    """Return what ``evaluate`` gives for a frame whose pixels are all off by ``rmse`` metres at 1 m."""
+    whole = {"rmse": rmse, "mae": rmse, "rel": rmse, "d105": 0.0, "d110": 0.0, "d125": 100.0, "n": n}
+    return dict.fromkeys(M.SETS) | {"whole": whole} | sets
+
+
+def test_average_is_per_image_with_the_pooled_value_beside_it():
+    one = M.evaluate(np.array([[1.1]]), np.array([[1.0]]))
+    three = M.evaluate(np.array([[1.3, 1.3, 1.3]]), np.array([[1.0, 1.0, 1.0]]))
+    whole = M.average([one, three])["whole"]
+    assert whole["rmse"] == pytest.approx(0.2) and whole["mae"] == pytest.approx(0.2)
+    assert whole["pooled"]["mae"] == pytest.approx((0.1 + 3 * 0.3) / 4)
+    assert whole["pooled"]["rmse"] == pytest.approx(math.sqrt((0.01 + 3 * 0.09) / 4))
+    assert (whole["n"], whole["images"]) == (4, 2)
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(PIXELS, PIXELS), min_size=1, max_size=4))
+def test_pooling_equals_scoring_everything_at_once(frames):
+    pooled = M.average([M.evaluate(p[None], g[None]) for p, g in frames])["whole"]["pooled"]
+    together = M.evaluate(*(np.concatenate(rows)[None] for rows in zip(*frames, strict=True)))["whole"]
+    assert pooled == pytest.approx({m: together[m] for m in M.METRICS}, rel=1e-6, abs=1e-9)
+
+
+def test_average_leaves_out_images_without_such_pixels():
+    glass = scores(0.3, 2)["whole"]
+    result = M.average([scores(0.1, 5, optical=glass), scores(0.2, 5)])
+    assert result["optical"]["images"] == 1 and result["optical"]["rmse"] == 0.3
+    assert result["whole"]["images"] == 2 and M.average([scores(0.2, 5)])["optical"] is None
+    with pytest.raises(ValueError, match="nothing to average"):
+        M.average([])
+
+
+def test_table_shows_millimetres_and_dashes():
+    rows = {"ours": scores(0.3317, 5, optical=scores(0.15, 2)["whole"]), "flat": scores(0.3, 5)}
+    lines = M.format_table(rows, ["whole", "optical"]).splitlines()
+    assert lines[0] == "whole (5 pixels)" and lines[1].split()[:3] == ["method", "RMSE", "mm"]
+    assert lines[2].split()[:3] == ["ours", "331.7", "331.7"]
+    assert lines[8].split() == ["flat"] + ["-"] * 6
+    assert len({len(line) for line in lines if line.startswith(("ours", "flat", "method"))}) == 1

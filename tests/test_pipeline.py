@@ -2,11 +2,10 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite.completion import compose
 from ditr_lite.conditioning import depth_bounds
 from ditr_lite.config import override, preset
 from ditr_lite.data import SAMPLES, read_sample
-from ditr_lite.pipeline import BRANCHES, Ditr, build
+from ditr_lite.pipeline import BRANCHES, Ditr, build, compose
 from ditr_lite.region import refine_region
 from ditr_lite.store import load_parts, save_part
 

@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from ditr_lite import autoencoder
-from ditr_lite.reconstruction import autoencoder_loss, depth_steps
+from ditr_lite.autoencoder import autoencoder_loss, depth_steps
 
 
 def test_depth_steps_by_hand():

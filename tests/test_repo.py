@@ -1,4 +1,4 @@
-"""The repository's own rules: file length, import direction, public names, pins, no pickles."""
+"""The repository's own rules: who imports whom, public names, pins, no pickles."""
 
 import ast
 import os
@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import NamedTuple
 
 import nbformat
 import pytest
@@ -17,73 +18,166 @@ import ditr_lite
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "ditr_lite"
-SOURCES = sorted(PACKAGE.glob("*.py"))
-PYTHON = sorted(p for folder in (PACKAGE, ROOT / "tests", ROOT / "tools") for p in folder.glob("*.py"))
+SOURCES = {p.relative_to(PACKAGE).as_posix(): p.read_text(encoding="utf-8") for p in sorted(PACKAGE.rglob("*.py"))}
+PYTHON = sorted(p for folder in (PACKAGE, ROOT / "tests", ROOT / "tools") for p in folder.rglob("*.py"))
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-MAX_LINES = 250
+CLOSED = ("exercises", "peers", "cli")  # rooms that no other place of the package imports, save __main__
 # Where the name that is imported is not the one that is installed; drjit comes with mitsuba, which pins it.
 DISTRIBUTIONS = {"PIL": "pillow", "cv2": "opencv-python-headless", "drjit": "mitsuba", "skimage": "scikit-image"}
 
 
 def per_file(paths):
-    return pytest.mark.parametrize("path", paths, ids=lambda p: p.name)
+    return pytest.mark.parametrize("path", paths, ids=lambda p: p.relative_to(ROOT).as_posix())
 
 
 # --- the package ------------------------------------------------------------------------------------------------------
 
 
-def imported_modules(tree):
-    """Yield the modules of ditr_lite that a syntax tree imports, wherever in the file it does so."""
-    for node in ast.walk(tree):
+class Import(NamedTuple):
+    """One import of something of the package: by which file, of which module, which name of it (None: the module)."""
+
+    file: str
+    module: str
+    name: str | None
+
+
+def dotted(file):
+    """Return the module that a file of the package is: viz/grids.py is viz.grids, viz/__init__.py is viz."""
+    return file.removesuffix(".py").replace("/", ".").removesuffix("__init__").removesuffix(".")
+
+
+def imports(file, files):
+    """Yield every :class:`Import` of ``file``, wherever in it; relative ones counted from where it stands."""
+    modules = {dotted(name) for name in files}
+    for node in ast.walk(ast.parse(files[file])):
         if isinstance(node, ast.Import):
-            yield from (alias.name.split(".")[1] for alias in node.names if alias.name.startswith("ditr_lite."))
-        elif isinstance(node, ast.ImportFrom):
-            parts = (node.module or "").split(".")
-            if node.level == 0 and parts[0] != "ditr_lite":
-                continue
-            inner = parts[1:] if node.level == 0 else [part for part in parts if part]
-            yield from inner[:1] or (alias.name for alias in node.names if not alias.name.startswith("__"))
+            yield from (
+                Import(file, alias.name.removeprefix("ditr_lite").removeprefix("."), None)
+                for alias in node.names
+                if alias.name.split(".")[0] == "ditr_lite"
+            )
+        elif isinstance(node, ast.ImportFrom) and (node.level or node.module.split(".")[0] == "ditr_lite"):
+            base = file.split("/")[: -node.level] if node.level else []
+            inner = (node.module or "").split(".") if node.level else node.module.split(".")[1:]
+            source = ".".join([*base, *filter(None, inner)])
+            for alias in node.names:
+                module = f"{source}.{alias.name}".lstrip(".")
+                yield Import(file, module, None) if module in modules else Import(file, source, alias.name)
 
 
-def backward_imports(name, source, order):
-    """Return what module ``name`` imports although it does not stand before it in ``order``."""
-    before = order[: order.index(name)]
-    return [module for module in imported_modules(ast.parse(source)) if module not in before]
+def is_relative(tree):
+    """Return whether a syntax tree names the package by its absolute name in no import."""
+    nodes = list(ast.walk(tree))
+    names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+    names += [node.module for node in nodes if isinstance(node, ast.ImportFrom) and not node.level]
+    return "ditr_lite" not in {name.split(".")[0] for name in names}
+
+
+def private_uses(tree):
+    """Return the names with a leading underscore that a syntax tree takes from another file of the package."""
+    own = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and (n.level or n.module.startswith("ditr_lite"))]
+    aliases = [alias for node in own for alias in node.names]
+    found = [alias.name for alias in aliases if is_private(alias.name)]
+    local = {alias.asname or alias.name for alias in aliases}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in local:
+            found += [node.attr] * is_private(node.attr)
+    return found
+
+
+def is_private(name):
+    return name.startswith("_") and not name.startswith("__")
+
+
+def cycle(graph):
+    """Return modules that import each other in a circle, or [] when there are none."""
+    left = dict(graph)
+    while free := [module for module, used in left.items() if not used & left.keys()]:
+        for module in free:
+            del left[module]
+    return sorted(left)
+
+
+def broken_rules(files, order):
+    """Return a sentence for everything in ``files`` (path -> source) that the import rule forbids.
+
+    A place is a file on top or a folder, a room. A file imports only from places that stand before its own in
+    ``order``, or from its own room, in which imports make no circle. Nothing but ``__main__`` imports a closed room.
+    """
+    order, wrong = (*order, "__main__"), []
+    within = {dotted(file): set() for file in files}
+    for file, source in files.items():
+        module, tree = dotted(file), ast.parse(source)
+        place = module.split(".")[0]
+        if not is_relative(tree):
+            wrong.append(f"{file} imports the package by its absolute name")
+        wrong += [f"{file} uses the private {name} of another file" for name in private_uses(tree)]
+        if place and place not in order:
+            wrong.append(f"{file} is in no place: add {place!r} to ditr_lite.MODULES, after everything that it imports")
+            continue
+        for _, target, _ in imports(file, files):
+            other = target.split(".")[0]
+            before = order[: order.index(place)] if place else ()
+            if other == place and "/" in file:
+                within[module].add(target)
+            elif other not in before:
+                wrong.append(f"{file} imports {target or 'the package'}, which does not stand before it")
+            elif other in CLOSED and place != "__main__":
+                wrong.append(f"{file} imports {target}, a closed room")
+    circle = cycle(within)
+    return wrong + [f"imports in a circle: {', '.join(circle)}"] * bool(circle)
+
+
+TOY = {"__init__.py": "", "before.py": "", "here.py": "", "after.py": "", "room/__init__.py": "from .a import x"}
+TOY |= {"room/a.py": "", "room/b.py": "from .a import x\nfrom . import a\nfrom ..here import y\nfrom .. import before"}
+TOY |= {"late/__init__.py": "", "late/c.py": "from ..room.b import x\nfrom ..room import a\nimport numpy"}
+TOY |= {"cli/__init__.py": "from ..late import c", "__main__.py": "from .cli import main"}
+PLACES = ("before", "here", "after", "room", "late", "cli")
+
+
+def test_a_house_in_order_breaks_no_rule():
+    assert broken_rules(TOY, PLACES) == []
 
 
 @pytest.mark.parametrize(
-    "line",
+    ("file", "line", "message"),
     [
-        "from ditr_lite.MODULE import x",
-        "from .MODULE import x",
-        "from . import MODULE",
-        "from ditr_lite import MODULE",
-        "import ditr_lite.MODULE",
-        "import numpy, ditr_lite.MODULE as m",
-        "def f():\n    from .MODULE import x",
+        ("here.py", "from .after import x", "here.py imports after, which does not stand before"),
+        ("here.py", "from . import after", "here.py imports after, which does not stand before"),
+        ("here.py", "from .here import x", "here.py imports here, which does not stand before"),
+        ("here.py", "from . import x", "here.py imports the package"),
+        ("here.py", "def f():\n    from .after import x", "here.py imports after"),
+        ("here.py", "from .room.a import x", "here.py imports room.a, which does not stand before"),  # top: no room
+        ("__init__.py", "from .before import x", "__init__.py imports before"),
+        ("room/a.py", "from ..late.c import x", "room/a.py imports late.c, which does not stand before"),
+        ("room/a.py", "from .. import late", "room/a.py imports late, which does not stand before"),
+        ("room/a.py", "from .b import x", "in a circle: room, room.a, room.b"),
+        ("room/a.py", "from . import x", "in a circle: room, room.a"),
+        ("late/c.py", "from ..cli.d import x", "late/c.py imports cli.d, which"),
+        ("here.py", "from ditr_lite.before import x", "here.py imports the package by its absolute name"),
+        ("here.py", "import numpy, ditr_lite.before as m", "here.py imports the package by its absolute name"),
+        ("here.py", "from .before import _x", "here.py uses the private _x"),
+        ("here.py", "from . import before\nbefore._x()", "here.py uses the private _x"),
+        ("new.py", "", "new.py is in no place: add 'new'"),
     ],
 )
-def test_backward_import_is_noticed(line):
-    order = ("before", "here", "after")
-    assert backward_imports("here", line.replace("MODULE", "before"), order) == []
-    assert backward_imports("here", line.replace("MODULE", "here"), order) == ["here"]
-    assert backward_imports("here", line.replace("MODULE", "after"), order) == ["after"]
+def test_a_planted_violation_is_noticed(file, line, message):
+    wrong = broken_rules({**TOY, file: line}, PLACES)
+    assert any(message in sentence for sentence in wrong), wrong
 
 
-@per_file(SOURCES)
-def test_imports_run_one_way(path):
-    if path.stem == "__init__":
-        assert not list(imported_modules(ast.parse(path.read_text()))), "the package itself loads its modules lazily"
-        return
-    order = (*ditr_lite.MODULES, "__main__")
-    assert path.stem in order, f"add {path.stem!r} to ditr_lite.MODULES, after everything that it imports"
-    assert backward_imports(path.stem, path.read_text(), order) == []
+def test_a_closed_room_is_entered_by_main_only():
+    wrong = broken_rules({**TOY, "later.py": "from .cli import main"}, (*PLACES, "later"))
+    assert wrong == ["later.py imports cli, a closed room"]
 
 
-@per_file(SOURCES)
-def test_file_is_short(path):
-    lines = path.read_text().count("\n")
-    assert lines <= MAX_LINES
+def test_imports_run_one_way():
+    assert broken_rules(SOURCES, ditr_lite.MODULES) == []
+
+
+@per_file([p for p in PYTHON if ROOT / "tools" in p.parents])
+def test_a_tool_takes_no_private_name(path):
+    assert private_uses(ast.parse(path.read_text(encoding="utf-8"))) == []
 
 
 def test_import_is_lazy_and_unknown_names_are_refused():
@@ -95,9 +189,7 @@ def test_import_is_lazy_and_unknown_names_are_refused():
         _ = ditr_lite.no_such_name
 
 
-@pytest.mark.parametrize(
-    "name", [n for n in ditr_lite.__all__ if (PACKAGE / f"{ditr_lite._HOME.get(n, n)}.py").exists()]
-)
+@pytest.mark.parametrize("name", ditr_lite.__all__)
 def test_public_name_resolves(name):
     assert getattr(ditr_lite, name) is not None and name in dir(ditr_lite)
 
@@ -141,7 +233,9 @@ def source_of(path):
     return re.sub(r"^(\s*)[%!].*$", r"\1pass", "\n".join(cells), flags=re.MULTILINE)
 
 
-@per_file([p for p in (*PYTHON, *NOTEBOOKS) if p.parent.name != "tests"])  # tests may make a bad file to see it refused
+@per_file(
+    [p for p in (*PYTHON, *NOTEBOOKS) if ROOT / "tests" not in p.parents]
+)  # tests may make a bad file to see it refused
 def test_no_pickle(path):
     assert unsafe_loading(source_of(path)) == []
 
@@ -186,7 +280,7 @@ def third_party_imports(source):
             roots |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             roots.add(node.module.split(".")[0])
-    beside = {path.stem for path in (ROOT / "tests").glob("*.py")}  # what pytest puts on the path
+    beside = {path.stem for folder in ("tests", "tools") for path in (ROOT / folder).glob("*.py")}  # on pytest's path
     return roots - sys.stdlib_module_names - beside - {"ditr_lite"}
 
 

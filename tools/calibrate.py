@@ -16,8 +16,8 @@ import numpy as np
 from tqdm.auto import tqdm
 
 import ditr_lite as dl
-from ditr_lite import uncertainty
 from ditr_lite.config import StdConfig
+from ditr_lite.evaluation import uncertainty
 from ditr_lite.files import write_json
 from ditr_lite.pipeline import Ditr
 from ditr_lite.store import read_card

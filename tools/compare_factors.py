@@ -16,13 +16,13 @@ from typing import Any
 
 import torch
 
-from ditr_lite import fitting
 from ditr_lite.conditioning import CHANNELS
 from ditr_lite.config import Config, override, preset
 from ditr_lite.data import list_samples, load_sample
 from ditr_lite.files import write_json
-from ditr_lite.floor import load_autoencoder, measure_floor
-from ditr_lite.recipes import RECIPES
+from ditr_lite.studies.floor import load_autoencoder, measure_floor
+from ditr_lite.training import parts as fitting
+from ditr_lite.training.recipes import RECIPES
 from ditr_lite.unet import STRIDE, DenoisingUNet, count_flops
 
 MULTIPLIERS = {2: (1,), 4: (1, 2), 8: (1, 2, 4)}

@@ -14,11 +14,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from ditr_lite import baselines, realism, viz
+from ditr_lite import baselines, viz
 from ditr_lite.data import OPAQUE, REFLECTIVE, SAMPLES, SPLITS, TRANSPARENT, Sample, list_samples, read_sample
 from ditr_lite.datasets import ClearGrasp
 from ditr_lite.loss_types import Cause, LossType
-from ditr_lite.scenes import TEST_FAMILIES, TRAIN_FAMILIES
+from ditr_lite.simulator import realism
+from ditr_lite.simulator.scenes import TEST_FAMILIES, TRAIN_FAMILIES
 
 ROOT = Path(__file__).resolve().parents[1]
 STRIDE = 8  # the contact sheet shows every eighth scene of the test split: taken blindly, never picked
@@ -161,8 +162,8 @@ Every {stride}th scene of the test split: colour with the outline of the region,
 `python -m ditr_lite simulate --out DIR` (`make samples`) renders them again: Mitsuba 3, `scalar_rgb`, path-traced RGB
 (four passes of four paths a pixel, their median, then a camera's own denoising) and an infrared pair under a projected
 dot pattern (five paths a pixel), semi-global block matching, dropouts, reprojection into the RGB view.
-`ditr_lite/scenes.py`, `render.py`, `sensor.py` and `simulate.py` are the whole recipe. A scene follows from split
-and seed alone.
+`scenes.py`, `render.py`, `stereo.py` and `simulate.py` in `ditr_lite/simulator` are the whole recipe. A scene follows
+from split and seed alone.
 
 {made}
 

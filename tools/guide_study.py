@@ -26,13 +26,13 @@ from ditr_lite.boundary import ExactBoundary, boundary_maps, get_backend
 from ditr_lite.conditioning import CHANNELS, fill
 from ditr_lite.config import Config, from_dict
 from ditr_lite.data import SAMPLES, read_sample
+from ditr_lite.evaluation.statistics import bootstrap_mean, paired_bootstrap
 from ditr_lite.files import write_json
-from ditr_lite.recipes import batches, branch_inputs
-from ditr_lite.scenedata import Batch, Scenes, checksum, draw, load_scenes
 from ditr_lite.schedule import make_schedule
 from ditr_lite.store import WEIGHTS, load_part, read_card, sha256
-from ditr_lite.summaries import bootstrap_mean, paired_bootstrap
-from ditr_lite.training import Recipe, fit
+from ditr_lite.training.batches import Batch, Scenes, checksum, draw, load_scenes
+from ditr_lite.training.loop import Recipe, fit
+from ditr_lite.training.recipes import batches, branch_inputs
 from ditr_lite.unet import DenoisingUNet
 
 TRAINED = ("none", "m_rgb", "m_da", "exact")

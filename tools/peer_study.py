@@ -16,8 +16,8 @@ import torch
 from tqdm.auto import tqdm
 
 import ditr_lite as dl
-from ditr_lite import peer_study
 from ditr_lite.files import write_json
+from ditr_lite.peers import compare
 from ditr_lite.store import read_card
 
 STUDY = {}  # of a worker: the system and the methods, built once
@@ -27,12 +27,12 @@ def begin(peers: Path, threads: int) -> None:
     """Build what a worker scores frames with."""
     torch.set_num_threads(threads)
     ditr = dl.Ditr.from_pretrained()
-    STUDY.update(ditr=ditr, rows=peer_study.methods(ditr, peers))
+    STUDY.update(ditr=ditr, rows=compare.methods(ditr, peers))
 
 
 def score(name: str) -> dict:
     """Score all methods on one frame."""
-    return peer_study.run([dl.load_sample(name)], **STUDY)
+    return compare.run([dl.load_sample(name)], **STUDY)
 
 
 def main() -> None:
@@ -42,22 +42,22 @@ def main() -> None:
     parser.add_argument("--limit", type=int)
     parser.add_argument("--peers", type=Path, default=Path("outputs/peers"))
     parser.add_argument("--workers", type=int, default=2, help="frames at a time (%(default)s)")
-    parser.add_argument("--json", type=Path, default=peer_study.RESULTS)
+    parser.add_argument("--json", type=Path, default=compare.RESULTS)
     args = parser.parse_args()
-    peer_study.methods(dl.Ditr.from_pretrained(), args.peers)  # a worker without weights would be restarted for ever
+    compare.methods(dl.Ditr.from_pretrained(), args.peers)  # a worker without weights would be restarted for ever
     names, scores = dl.list_samples(args.split)[: args.limit], {}
     threads = max(1, torch.get_num_threads() // args.workers)
     with multiprocessing.get_context("spawn").Pool(args.workers, begin, (args.peers, threads)) as pool:
         for found in tqdm(pool.imap(score, names), total=len(names), desc="frames", unit="frame"):
             scores |= found
-    report = peer_study.summarise(scores)
+    report = compare.summarise(scores)
     card = read_card(args.peers)["parts"]
     report["trained"] = {
         name: {k: part[k] for k in ("arm", "minutes", "seed", "steps", "scenes", "sha256")}
         for name, part in card.items()
     }
     report["weights_sha256"] = {name: part["sha256"] for name, part in read_card()["parts"].items()}
-    for table in (peer_study.format_peers, peer_study.format_ablation, peer_study.format_oracles):
+    for table in (compare.format_peers, compare.format_ablation, compare.format_oracles):
         print(table(report), end="\n\n")
     command = shlex.join(["python", *sys.argv])
     write_json(args.json, {"command": command, "split": args.split, "frames": len(scores), **report, "rmse_m": scores})

@@ -7,9 +7,9 @@ import argparse
 import json
 from pathlib import Path
 
-from ditr_lite import peer_study
+from ditr_lite.evaluation.statistics import format_interval
+from ditr_lite.peers import compare
 from ditr_lite.store import read_card
-from ditr_lite.summaries import format_interval
 
 START, END = "<!-- results: tools/readme_results.py -->", "<!-- end of results -->"
 SETS = ("optical", "optical_valid", "geometric", "outside", "whole")
@@ -85,18 +85,18 @@ def peers(result: dict) -> str:
     lines = [
         f"**Learned peers at equal training time.** One small network for one idea of the compared systems each, "
         f"trained on the same {scenes} scenes for {each} minutes of one core, as were the networks of "
-        f"*{peer_study.EQUAL}*; *{peer_study.SHIPPED}* is the shipped system. {result['frames']} test scenes, "
+        f"*{compare.EQUAL}*; *{compare.SHIPPED}* is the shipped system. {result['frames']} test scenes, "
         "RMSE in millimetres, composed with the region that stage one predicts (*bare*: as the network paints it). "
         "Stage one and the autoencoder are the shipped ones wherever they are used; their training is not counted.",
         "",
         "| method | optical, bare | optical | geometric | whole | optical, DITR at equal time over it |",
         "|---|---:|---:|---:|---:|---:|",
     ]
-    for name in (peer_study.SHIPPED, peer_study.EQUAL, *peer_study.IDEAS):
+    for name in (compare.SHIPPED, compare.EQUAL, *compare.IDEAS):
         cells = [f"{1000 * mean[n]['optical'][0]:.1f}" if n in mean else "–" for n in (f"{name}, bare", name)]
         cells += [f"{1000 * mean[name][k][0]:.1f}" for k in ("geometric", "whole")]
         lines.append(f"| {name} | " + " | ".join([*cells, format_interval(ratio[name]["optical"], 1, ".2f")]) + " |")
-    lines += ["", peer_study.verdict(result).replace("\n", ".\n") + ".", ""]
+    lines += ["", compare.verdict(result).replace("\n", ".\n") + ".", ""]
     for step, before in (("+DP", "BB"), ("+RR", "+DP")):
         changes = [
             format_interval([100 * (v - 1) for v in r[step]["optical"]], 1, "+.0f") for r in result["ablation"].values()
@@ -148,8 +148,8 @@ def main() -> None:
     frames = args.json.with_name("results_cleargrasp.json")
     if frames.is_file():
         made += "\n\n" + real(json.loads(frames.read_text(encoding="utf-8")))
-    if peer_study.RESULTS.is_file():
-        made += "\n\n" + peers(peer_study.load_results())
+    if compare.RESULTS.is_file():
+        made += "\n\n" + peers(compare.load_results())
     bench = args.json.with_name("results_bench.json")
     if bench.is_file():
         made += "\n\n" + costs(json.loads(bench.read_text(encoding="utf-8")))

@@ -18,11 +18,13 @@ import numpy as np
 from tqdm.auto import tqdm
 
 import ditr_lite as dl
-from ditr_lite import finetune, region_scores, summaries
 from ditr_lite.config import RefineConfig
+from ditr_lite.evaluation import stage_one, statistics
 from ditr_lite.files import write_json
-from ditr_lite.scenedata import load_scenes
 from ditr_lite.store import WEIGHTS, read_card
+from ditr_lite.studies import regions
+from ditr_lite.training import finetune
+from ditr_lite.training.batches import load_scenes
 
 ROOT = Path(__file__).resolve().parents[1]
 OFFSETS = (-4, -2, -1, 0, 1, 2, 4)
@@ -38,13 +40,13 @@ MEASURED = ("optical_m", "whole_m", "miss_rate", "area_ratio", "iou")
 
 def study_errors(ditr, samples) -> dict:
     """Return the cost of a region that is off, per offset: mean and 95 % interval over scenes, and every scene."""
-    rows = {s.name: region_scores.region_costs(ditr, s, OFFSETS) for s in tqdm(samples, desc="regions that are off")}
+    rows = {s.name: regions.region_costs(ditr, s, OFFSETS) for s in tqdm(samples, desc="regions that are off")}
     return _table(rows, [str(k) for k in OFFSETS], ("optical_m", "whole_m", "missed_m", "discarded_m"))
 
 
 def study_refinement(ditr, samples) -> dict:
     """Return what each setting of the refinement leads to, with the region that stage one finds."""
-    rows = {s.name: region_scores.refinement_costs(ditr, s, SETTINGS) for s in tqdm(samples, desc="refinements")}
+    rows = {s.name: regions.refinement_costs(ditr, s, SETTINGS) for s in tqdm(samples, desc="refinements")}
     names = [f"{r.median}/{r.dilate}/{r.iterations}" for r in SETTINGS]
     return _table(rows, names, ("miss_rate", "area_ratio", "optical_m", "whole_m"))
 
@@ -66,7 +68,7 @@ def study_finetuning(ditr, samples, data: Path, limit: int, steps: int, batch: i
         first, last = (
             np.mean([r["rmse_m"] for r in part]) for part in (curve[: steps // 4 or 1], curve[-steps // 4 :])
         )
-        changes = {k: _interval(summaries.paired_bootstrap, after[k], before[k]) for k in MEASURED}
+        changes = {k: _interval(statistics.paired_bootstrap, after[k], before[k]) for k in MEASURED}
         out[name] = {"rmse_weight": weight, "straight_through": straight_through, "after": after, "change": changes}
         out[name]["training_rmse_m"] = [round(float(first), 5), round(float(last), 5)]
     ditr.parts["region"] = original
@@ -80,7 +82,7 @@ def measure(ditr, samples) -> dict[str, list]:
         out = ditr(s.rgb, s.depth, samples=1)
         scores = dl.metrics.evaluate(out.depth, s.depth_gt, s.region, s.depth)
         row = {f"{k}_m": scores[k] and scores[k]["rmse"] for k in ("optical", "whole")}
-        row |= region_scores.mask_errors(out.region, s.region)
+        row |= stage_one.mask_errors(out.region, s.region)
         row["iou"] = dl.metrics.iou(out.probability > 0.5, s.region)
         for key, value in row.items():
             values[key].append(_round(value))
@@ -133,7 +135,8 @@ def _table(rows: dict, names: list[str], keys: tuple[str, ...]) -> dict:
     for k, name in enumerate(names):
         each = {key: [_round(row[k][key]) for row in rows.values()] for key in keys}
         table[name] = {
-            key: {"mean": _interval(summaries.bootstrap_mean, values), "scenes": values} for key, values in each.items()
+            key: {"mean": _interval(statistics.bootstrap_mean, values), "scenes": values}
+            for key, values in each.items()
         }
     return table
 

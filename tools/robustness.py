@@ -15,8 +15,8 @@ from pathlib import Path
 from ditr_lite.data import list_samples, load_sample
 from ditr_lite.files import write_json
 from ditr_lite.pipeline import Ditr
-from ditr_lite.robustness import run
 from ditr_lite.store import read_card
+from ditr_lite.studies.robustness import run
 
 ROOT = Path(__file__).resolve().parents[1]
 DEFAULT = ROOT / "ditr_lite" / "weights" / "results_robustness.json"

@@ -11,9 +11,9 @@ import shlex
 import sys
 from pathlib import Path
 
-from ditr_lite import setting_study
-from ditr_lite.experiment import QUICK
 from ditr_lite.files import write_json
+from ditr_lite.studies import settings
+from ditr_lite.studies.experiment import QUICK
 
 
 def main() -> None:
@@ -23,14 +23,14 @@ def main() -> None:
     parser.add_argument("--limit", type=int, help="train on the first scenes only")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--folder", type=Path, default=Path("outputs/weights"))
-    parser.add_argument("--json", type=Path, default=setting_study.RESULTS)
+    parser.add_argument("--json", type=Path, default=settings.RESULTS)
     args = parser.parse_args()
     notes = {
         "command": shlex.join(["python", *sys.argv]),
         "split": "val",
         "steps": {part: recipe.steps for part, recipe in QUICK.items()},
     }
-    rows = setting_study.run(
+    rows = settings.run(
         seeds=args.seeds,
         save=lambda rows: write_json(args.json, {**notes, "rows": rows}),
         data=args.data,
@@ -38,7 +38,7 @@ def main() -> None:
         limit=args.limit,
     )
     for name in rows:
-        gain = setting_study.against_default(rows, name)
+        gain = settings.against_default(rows, name)
         print(f"{name:30}{1000 * gain.mean:+7.1f} mm [{1000 * gain.low:+.1f}, {1000 * gain.high:+.1f}]")
 
 

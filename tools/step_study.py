@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 
 import ditr_lite as dl
-from ditr_lite import steps_study
 from ditr_lite.files import write_json
 from ditr_lite.store import read_card
+from ditr_lite.studies import steps as steps_study
 
 
 def main() -> None:

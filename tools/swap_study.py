@@ -3,7 +3,7 @@
     python tools/swap_study.py [--limit 112] [--json ditr_lite/weights/results_swaps.json]
 
 Nothing is trained and nothing is chosen by it. The first frames of the test split are completed under every swap of
-``ditr_lite.swaps``, one draw a frame, all from the same noise, in under six minutes on one core; differences are
+``studies.swaps``, one draw a frame, all from the same noise, in under six minutes on one core; differences are
 paired over frames. The breakdown beside the paper's Table V is the default's.
 """
 
@@ -13,9 +13,9 @@ import sys
 from pathlib import Path
 
 import ditr_lite as dl
-from ditr_lite import swaps
 from ditr_lite.files import write_json
 from ditr_lite.store import WEIGHTS, read_card
+from ditr_lite.studies import swaps
 
 
 def main(arguments: list[str] | None = None) -> int:

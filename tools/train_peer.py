@@ -8,7 +8,7 @@ On one core (set OMP_NUM_THREADS=1) two arms can be trained side by side. A stop
 import argparse
 from pathlib import Path
 
-from ditr_lite.peer_training import ARMS, train_arm
+from ditr_lite.peers.train import ARMS, train_arm
 
 
 def main() -> None:

@@ -1,0 +1,37 @@
+"""Boundary maps, the guides of stage two: how they are found, by which backend, and what the truth is."""
+
+from .classical import ClassicalBoundary
+from .maps import (
+    BACKENDS,
+    M_D,
+    M_DA,
+    M_RGB,
+    Backend,
+    ExactBoundary,
+    boundaries_from_labels,
+    boundary_maps,
+    depth_aware,
+    depth_boundaries,
+    get_backend,
+    precision_recall_f,
+    true_maps,
+    within,
+)
+
+__all__ = [
+    "BACKENDS",
+    "Backend",
+    "ClassicalBoundary",
+    "ExactBoundary",
+    "M_D",
+    "M_DA",
+    "M_RGB",
+    "boundaries_from_labels",
+    "boundary_maps",
+    "depth_aware",
+    "depth_boundaries",
+    "get_backend",
+    "precision_recall_f",
+    "true_maps",
+    "within",
+]

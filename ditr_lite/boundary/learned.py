@@ -1,0 +1,185 @@
+"""Boundaries found by a small network of ours, trained on the exact outlines that the simulator knows.
+
+Two U-Nets of one shape: one looks at colour and finds all outlines, one looks at depth and finds those where depth
+jumps. Each predicts, per pixel, whether a boundary lies within a pixel of it; cut at a threshold chosen on the
+validation split, and thinned, that is a map one pixel wide. ``training.boundary`` trains them.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from ..conditioning import depth_bounds, to_tensor
+from ..region import Encoder
+from ..store import fingerprint, load_part
+from .classical import drop_small, is_depth
+
+MODES = {"rgb": 3, "depth": 3}  # input channels
+WIDTH, LEVELS = 16, 4
+MULTIPLE = 2**LEVELS  # of H and W
+RELIEF = 8.0  # gain: a step of a centimetre is a few hundredths of a network unit
+
+
+class BoundaryNet(nn.Module):
+    """A U-Net with stage one's encoder, whose last step also sees the pixels themselves, folded into channels.
+
+    Args:
+        channels_in: of the image.
+        width: channels at half size; doubled at every further level.
+        levels: sizes 1/2, 1/4, ...
+    """
+
+    def __init__(self, channels_in: int, width: int = WIDTH, levels: int = LEVELS):
+        super().__init__()
+        widths = [width * 2**k for k in range(levels)]
+        self.encoder = Encoder(channels_in, width, levels)
+        self.decode = nn.ModuleList(_conv(3 * w, w) for w in reversed(widths[:-1]))
+        self.last = _conv(width + 4 * channels_in, 2 * width)
+        self.out = nn.Conv2d(2 * width, 4, 1)
+        nn.init.constant_(self.out.bias, -3.0)  # boundaries are rare: begin with 5 %, not with one half
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Return logits (B, 1, H, W) of "a boundary lies within a pixel" for (B, C, H, W), multiples of 16."""
+        *finer, x = self.encoder(image)
+        for decode, fine in zip(self.decode, reversed(finer), strict=True):
+            x = decode(torch.cat([F.interpolate(x, scale_factor=2.0, mode="nearest"), fine], dim=1))
+        x = self.last(torch.cat([x, F.pixel_unshuffle(image, 2)], dim=1))  # (B, 4C, H/2, W/2) of pixels
+        return F.pixel_shuffle(self.out(x), 2)
+
+
+def _conv(channels_in: int, channels: int) -> nn.Sequential:
+    conv = nn.Conv2d(channels_in, channels, 3, padding=1, bias=False)
+    return nn.Sequential(conv, nn.GroupNorm(8, channels), nn.ReLU())
+
+
+def build() -> nn.ModuleDict:
+    """Return the two untrained networks, ``rgb`` and ``depth``."""
+    return nn.ModuleDict({mode: BoundaryNet(channels) for mode, channels in MODES.items()})
+
+
+def begin_with_stage_one(nets: nn.ModuleDict, region: dict[str, Tensor]) -> None:
+    """Copy stage one's two encoders, which have learned to tell glass from table, into the networks.
+
+    Args:
+        nets: from :func:`build`; changed in place. The depth network's third channel, relief, begins with zeros.
+        region: the tensors of ``region.safetensors``.
+
+    Raises:
+        ValueError: when stage one has other sizes.
+    """
+    for mode, net in nets.items():
+        own, start = net.encoder.state_dict(), f"encoder_{mode}."
+        given = {k.removeprefix(start): v.clone() for k, v in region.items() if k.startswith(start)}
+        for key in own.keys() & given.keys():
+            if (more := own[key].ndim == 4 and own[key].shape[1] - given[key].shape[1]) > 0:
+                given[key] = F.pad(given[key], (0, 0, 0, 0, 0, more))
+        try:
+            net.encoder.load_state_dict(given)
+        except RuntimeError:  # torch's message is a page of tensor names
+            raise ValueError("stage one's encoders are of other sizes: boundaries are trained beside lite") from None
+
+
+def depth_image(depth_n: Tensor, valid: Tensor) -> Tensor:
+    """Return what the depth network looks at: (B, 3, H, W) normalised depth, validity, relief.
+
+    Relief is a reading minus the mean of the readings in its 9x9 surroundings, times a gain: a step that is small
+    beside the range of the frame becomes large.
+
+    Args:
+        depth_n: (B, 1, H, W) normalised depth, anything where not valid.
+        valid: (B, 1, H, W) 0/1.
+    """
+    depth_n = (depth_n * valid).clamp(-2, 2)
+    mean = F.avg_pool2d(depth_n, 9, 1, 4) / F.avg_pool2d(valid, 9, 1, 4).clamp(min=1e-6)
+    return torch.cat([depth_n, valid, RELIEF * (depth_n - mean).clamp(-0.25, 0.25) * valid], dim=1)
+
+
+def thin(probability: np.ndarray, threshold: float, min_length: int = 8) -> np.ndarray:
+    """Return (H, W) bool: the ridges of what exceeds ``threshold``, without pieces under ``min_length`` pixels.
+
+    Non-maximum suppression as in Canny's detector, for ridges instead of slopes: a pixel stays when it is not lower
+    than both its neighbours in the direction (of four) in which the smoothed map is curved most. Slanted lines come out
+    up to two pixels wide.
+
+    Args:
+        probability: (H, W) float32.
+        threshold: between 0 and 1.
+        min_length: pixels.
+    """
+    smooth = cv2.GaussianBlur(np.asarray(probability, np.float32), (0, 0), 1.0)
+    xx, yy, xy = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((2, 0), (0, 2), (1, 1)))
+    across = 0.5 * np.arctan2(2 * xy, xx - yy) + np.pi / 2  # axis of the most negative curvature
+    direction = np.rint(across / (np.pi / 4)).astype(int) % 4
+    ridge, (h, w), padded = np.zeros(smooth.shape, bool), smooth.shape, np.pad(smooth, 1, mode="edge")
+    for k, (dx, dy) in enumerate(((1, 0), (1, 1), (0, 1), (-1, 1))):
+        after, before = (padded[1 + s * dy : 1 + s * dy + h, 1 + s * dx : 1 + s * dx + w] for s in (1, -1))
+        ridge |= (direction == k) & (smooth >= after) & (smooth > before)
+    return drop_small(ridge & (smooth > threshold), min_length)
+
+
+class LearnedBoundary:
+    """The trained networks as a backend.
+
+    Args:
+        nets: as :func:`build` makes them.
+        thresholds: probability above which a pixel is a boundary, per mode.
+    """
+
+    def __init__(self, nets: nn.ModuleDict, thresholds: dict[str, float]):
+        self.nets = nets.eval().requires_grad_(False).to(memory_format=torch.channels_last)
+        self.thresholds = thresholds
+
+    @property
+    def fingerprint(self) -> str:
+        """Checksum of all that the maps depend on, for caches."""
+        return fingerprint(self.nets, *self.thresholds.values())
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        """Return the (H, W) bool boundary map of an image or of a depth map (see ``boundary.Backend``).
+
+        Raises:
+            ValueError: for anything else.
+        """
+        image = np.asarray(image)
+        return thin(self.probability(image), self.thresholds["depth" if is_depth(image) else "rgb"])
+
+    @torch.no_grad()
+    def probability(self, image: np.ndarray) -> np.ndarray:
+        """Return (H, W) float32: how probable a boundary is within a pixel of each pixel."""
+        image = np.asarray(image)
+        mode = "depth" if is_depth(image) else "rgb"
+        height, width = image.shape[:2]
+        if mode == "depth":
+            if not (image > 0).any():
+                return np.zeros((height, width), np.float32)
+            valid = torch.from_numpy((image > 0).astype(np.float32))[None, None]
+            depth_n = depth_bounds(image).normalise(image).astype(np.float32)
+            x = depth_image(torch.from_numpy(depth_n)[None, None], valid)
+        else:
+            x = to_tensor(image[None])
+        x = F.pad(x, (0, -width % MULTIPLE, 0, -height % MULTIPLE), mode="replicate")
+        x = x.contiguous(memory_format=torch.channels_last)
+        return torch.sigmoid(self.nets[mode](x))[0, 0, :height, :width].numpy()
+
+
+def load(path: Path | str | None = None) -> LearnedBoundary:
+    """Return the backend with the shipped weights, or with those of the weights folder ``path``.
+
+    Raises:
+        ValueError: when there are none, or they are damaged or of other sizes.
+    """
+    try:
+        state, nets = load_part("boundary", path), build()
+    except ValueError as error:
+        raise ValueError(f"{error} (this part by `python -m ditr_lite train-boundary`)") from None
+    thresholds = state.pop("thresholds", torch.empty(0))
+    try:
+        nets.load_state_dict(state)
+        named = dict(zip(MODES, thresholds.tolist(), strict=True))
+    except (RuntimeError, ValueError):  # torch's message is a page of tensor names
+        raise ValueError("the boundary weights are of other sizes; train them with `train-boundary`") from None
+    return LearnedBoundary(nets, named)

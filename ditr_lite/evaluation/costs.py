@@ -1,0 +1,171 @@
+"""Count what a configuration costs a frame, network by network, without running it.
+
+Paper: Table VI, GFLOPs per stage at 1280 x 720. Its 206 for stage two do not fit what the text describes, 1,000 steps
+in two branches and two passes of SAM's ViT-L; ``latency`` times what a CPU can run, this file counts what it cannot,
+the ``paper`` preset among it. A multiply-add counts as 2 operations here; many tools count it as 1 and also call that a
+FLOP. The paper does not say which it did, so :func:`beside_table_vi` shows both.
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from ..conditioning import CHANNELS
+from ..config import Config
+from ..detail import detail_input
+from ..pipeline import BRANCHES, build
+from ..unet import DenoisingUNet, count_flops
+
+Row = dict[str, Any]
+TABLE_VI = {"one": (43, 16), "two": (2256, 206)}  # the paper's milliseconds and GFLOPs of both stages
+RTX_3090_GFLOPS = 35_600  # per second, the peak in float32 of the GPU that the paper used: nothing runs faster
+SAM_VIT_L = 308_278_272  # parameters of the image encoder alone
+
+
+@torch.no_grad()
+def costs(config: Config, sam: bool = False) -> list[Row]:
+    """Count every network at the working size of ``config``, on torch's meta device: nothing is allocated.
+
+    Args:
+        config: the system, sampler included.
+        sam: also count the two passes of ViT-L that give the paper's boundary maps (Sec. IV-C, "Feature Extractor").
+
+    Returns:
+        One {"stage", "network", "parameters", "gflops", "calls"} for each network, in the order in which they run.
+        ``gflops`` is that of one call, ``calls`` how many a frame needs. The two branches are alike and share their
+        rows: ``parameters`` are those of both, so that a column of them adds up to the whole system.
+    """
+    height, width = config.size
+    branches, samples = len(BRANCHES), config.sampler.samples
+    with torch.device("meta"):
+        parts = build(config).eval()
+        net, vae = parts["optical"], parts["autoencoder"]
+        one, rgb = torch.zeros(1, 1, height, width), torch.zeros(1, 3, height, width)
+        latents = torch.zeros(1, config.autoencoder.latent_channels, height // 4, width // 4)
+        image = torch.zeros(1, len(CHANNELS), height, width)
+        step = (latents, torch.zeros(1, dtype=torch.long), net.features(image), latents, latents[:, :1])
+        extractor = branches * _parameters(net.extractor)
+        rows = [
+            _row("one", "region", _parameters(parts["region"]), 1, parts["region"], rgb, one, one),
+            _row("two", "encoder", _parameters(vae.encoder), branches, vae.encode, one),
+            _row("two", "F(x)", extractor, branches, net.features, image),
+            _row(
+                "two",
+                "denoiser, one step",
+                branches * _parameters(net) - extractor,
+                branches * samples * config.sampler.steps,
+                net,
+                *step,
+            ),
+            _row("two", "decoder", _parameters(vae.decoder), branches * samples, vae.decode, latents),
+        ]
+        if "detail" in parts:
+            given = detail_input(one, one, one, one, rgb, one)
+            rows.append(_row("two", "detail", _parameters(parts["detail"]), 1, parts["detail"], given))
+    if sam:
+        gflops = vit_flops() / 1e9
+        rows.insert(1, {"stage": "two", "network": "SAM ViT-L", "parameters": SAM_VIT_L, "gflops": gflops, "calls": 2})
+    return rows
+
+
+def vit_flops(
+    side: int = 64, width: int = 1024, blocks: int = 24, everywhere: int = 4, window: int = 14, patch: int = 16
+) -> int:
+    """Count the image encoder of SAM (Kirillov et al. 2023), ViT-L on 1024 x 1024 by default, as 2 per multiply-add.
+
+    Args:
+        side: tokens per side of the image.
+        width: channels of a token.
+        blocks: transformer blocks, each an attention and an MLP four times as wide.
+        everywhere: how many of them attend to all tokens; the others only within windows, padded to whole ones.
+        window: tokens per side of a window.
+        patch: pixels per side of a token.
+    """
+
+    def attention(tokens: int, reach: int) -> int:  # four projections, scores and mixing, relative positions
+        return tokens * width * (4 * width + 2 * reach**2 + 2 * reach)
+
+    tokens, padded = side**2, (-(-side // window) * window) ** 2
+    mixing = everywhere * attention(tokens, side) + (blocks - everywhere) * attention(padded, window)
+    neck = tokens * (256 * width + 9 * 256 * 256)
+    return 2 * (3 * patch**2 * width * tokens + mixing + blocks * 8 * width**2 * tokens + neck)
+
+
+def beside_table_vi(rows: list[Row]) -> list[Row]:
+    """Add up :func:`costs` by stage, beside what Table VI states of that stage.
+
+    Returns:
+        One {"stage", "parameters", "gflops", "gmacs", "paper_gflops", "paper_ms", "least_ms"} a stage; ``gmacs`` is
+        ``gflops`` with a multiply-add counted once, ``least_ms`` the time that the paper's GPU needs at its peak rate.
+    """
+    table = []
+    for stage, (paper_ms, paper_gflops) in TABLE_VI.items():
+        chosen = [row for row in rows if row["stage"] == stage]
+        gflops = sum(row["gflops"] * row["calls"] for row in chosen)
+        table.append(
+            {
+                "stage": stage,
+                "parameters": sum(row["parameters"] for row in chosen),
+                "gflops": gflops,
+                "gmacs": gflops / 2,
+                "paper_gflops": paper_gflops,
+                "paper_ms": paper_ms,
+                "least_ms": 1000 * gflops / RTX_3090_GFLOPS,
+            }
+        )
+    return table
+
+
+@torch.no_grad()
+def level_costs(net: DenoisingUNet, image: Tensor, latents: Tensor, known: Tensor, mask: Tensor) -> list[Row]:
+    """Run the denoiser once and count it part by part, in the order in which they run.
+
+    Args:
+        net: the denoiser; on the meta device nothing is allocated.
+        image: (B, Cin, H, W), what F(x) looks at.
+        latents: (B, C, H/4, W/4), L_t.
+        known: like ``latents``, the encoded known depth.
+        mask: (B, M, H/4, W/4), where it is known.
+
+    Returns:
+        One {"part", "shape", "parameters", "mflops", "attention"} a part; ``shape`` is that of its output, without the
+        batch (of F(x): its coarsest map), ``attention`` whether self- and cross-attention sit there.
+    """
+    last = len(net.down) - 1
+    parts = {"F(x), once": net.extractor, "stem": net.stem} | {f"down {i}": m for i, m in enumerate(net.down)}
+    parts |= {"project": net.project}
+    for i, (up, level) in enumerate(zip(net.upsample, net.up, strict=True), start=1):
+        parts |= {f"2x2 to {last - i}": up, f"up {last - i}": level}
+    parts |= {"out": net.out}
+    seen = {}
+    hooks = [m.register_forward_hook(lambda m, i, o: seen.update({m: (i, o)})) for m in parts.values()]
+    net(latents, torch.zeros(len(latents), dtype=torch.long, device=latents.device), net.features(image), known, mask)
+    for hook in hooks:
+        hook.remove()
+    rows = []
+    for name, module in parts.items():
+        inputs, output = seen[module]
+        shape = tuple((output[-1] if isinstance(output, list) else output).shape[1:])
+        mflops, attention = count_flops(module, *inputs) / 1e6, getattr(module, "attention", False)
+        weights = _parameters(module)
+        rows.append({"part": name, "shape": shape, "parameters": weights, "mflops": mflops, "attention": attention})
+    return rows
+
+
+def format_costs(rows: list[Row]) -> str:
+    """Return :func:`costs` as a text table."""
+    lines = ["stage  network              parameters    GFLOPs x calls  =   in all"]
+    for row in rows:
+        total = f"{row['gflops']:9,.1f} {row['calls']:7,d} {row['gflops'] * row['calls']:10,.0f}"
+        lines.append(f"{row['stage']:6} {row['network']:18} {row['parameters']:12,d} {total}")
+    return "\n".join(lines)
+
+
+def _parameters(module: nn.Module) -> int:
+    return sum(p.numel() for p in module.parameters())
+
+
+def _row(stage: str, network: str, parameters: int, calls: int, fn, *inputs) -> Row:
+    gflops = count_flops(fn, *inputs) / 1e9
+    return {"stage": stage, "network": network, "parameters": parameters, "gflops": gflops, "calls": calls}

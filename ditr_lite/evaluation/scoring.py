@@ -1,0 +1,231 @@
+"""Score DITR beside every baseline: same frames, same region, same composition, same pixels.
+
+Paper: Sec. V-C, Tables I-III and V. A baseline that were given the true region, or that might change pixels DITR must
+keep, would be compared on other terms; so each gets DITR's region and its result is composed as DITR's is.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm.auto import tqdm
+
+from .. import metrics
+from ..baselines import REGISTRY, Fill, compose
+from ..data import Sample
+from ..pipeline import Completion, Ditr
+from ..store import read_card
+from ..units import clean_depth
+from . import statistics
+from .protocols import Protocol
+from .stage_one import PER_CLASS, STAGE_ONE, stage_one
+from .statistics import format_interval
+
+DITR, SENSOR = RESERVED = "ditr", "sensor"  # rows that are not methods
+COMPARED = ("optical", "optical_valid", "geometric")  # where differences get an interval
+
+
+Result = dict[str, Any]  # of one frame, ready for JSON
+
+
+def run_methods(
+    samples: Iterable[Sample],
+    ditr: Ditr,
+    methods: Mapping[str, Fill] | None = None,
+    given_region: bool = False,
+    steps: int | None = None,
+    samples_per_frame: int | None = None,
+    progress: bool = True,
+    protocol: Protocol | None = None,
+) -> list[Result]:
+    """Complete every frame with DITR, once, and with every baseline, and score them all.
+
+    Args:
+        samples: frames with ground truth.
+        ditr: the system.
+        methods: name -> baseline; all of ``baselines.REGISTRY`` by default.
+        given_region: hand over the true region (as it is, not refined) instead of letting stage one find it.
+        steps: denoising steps of DITR, its configuration's by default.
+        samples_per_frame: draws of DITR, likewise.
+        progress: show a bar.
+        protocol: also score as somebody else's code would.
+
+    Returns:
+        One dictionary a frame: ``name``; ``methods``: name -> what ``metrics.evaluate`` gives, None where the method
+        refused the frame, with the reason in ``refused``. Beside ``ditr`` and the baselines stands ``sensor``, the bare
+        readings, scored only where there are any. ``stage_one``: IoU of the prediction before refinement, share of
+        the true region that is missed after it, area after it over that of the true region refined alike, and IoU and
+        recall of each class where materials are known; None where there is nothing to compare. ``kept``: whether every
+        reading outside the region came back bit for bit. ``protocol``: method -> scores, when one was asked for.
+
+    Raises:
+        ValueError: for a frame without ground truth, or without a region to give; a method named as in ``RESERVED``.
+    """
+    methods = REGISTRY if methods is None else methods
+    if taken := [name for name in RESERVED if name in methods]:
+        raise ValueError(f"a method cannot be called {taken[0]!r}, which is a row of its own: give it another name")
+    results = []
+    for sample in tqdm(samples, desc="frames", unit="frame", **({} if progress else {"disable": True})):
+        if sample.depth_gt is None:
+            raise ValueError(f"{sample.name} has no ground-truth depth: there is nothing to score; try `complete`")
+        if given_region and sample.region is None:
+            raise ValueError(f"{sample.name} has no true region to give: leave it to stage one")
+        sample = replace(sample, depth=clean_depth(sample.depth))
+        out, maps, refused = _complete(sample, ditr, methods, given_region, steps, samples_per_frame)
+        result = {"name": sample.name, "refused": refused, "methods": dict.fromkeys([DITR, *methods])}
+        for name, depth in maps.items():
+            result["methods"][name] = metrics.evaluate(depth, sample.depth_gt, sample.region, sample.depth)
+        result["methods"][SENSOR] = score_sensor(sample)
+        result["stage_one"] = None if out is None else stage_one(out, sample, ditr)
+        result["kept"] = out is None or kept_bit_for_bit(out, sample.depth)
+        if protocol is not None:
+            fed = replace(sample, depth=protocol.prepare(sample.depth))
+            if not np.array_equal(fed.depth, sample.depth):
+                _, maps, _ = _complete(fed, ditr, methods, given_region, steps, samples_per_frame)
+            scores = {name: protocol.score(depth, sample) for name, depth in maps.items()}
+            result["protocol"] = dict.fromkeys([DITR, *methods]) | scores
+        results.append(result)
+    return results
+
+
+def _complete(
+    sample: Sample, ditr: Ditr, methods: Mapping[str, Fill], given: bool, steps: int | None, draws: int | None
+) -> tuple[Completion | None, dict[str, np.ndarray], dict[str, str]]:
+    """Return DITR's completion, the depth of every method that made one, and why the others did not."""
+    if not sample.depth.any():
+        return None, {}, dict.fromkeys([DITR, *methods], "no reading in the frame")
+    out = ditr(sample.rgb, sample.depth, sample.region if given else None, steps, draws)
+    maps, refused = {DITR: out.depth}, {}
+    for name, method in methods.items():
+        try:
+            maps[name] = compose(method(sample.rgb, sample.depth, out.region), sample.depth, out.region)
+        except ValueError as error:  # nothing is known outside the region, so nothing can be filled from there
+            refused[name] = str(error)
+    return out, maps, refused
+
+
+def score_sensor(sample: Sample) -> dict[str, metrics.Scores | None] | None:
+    """Score the raw readings themselves, leaving out the pixels that have none; None where no reading can be scored."""
+    read = sample.depth > 0
+    if not (read & (sample.depth_gt > 0)).any():
+        return None
+    truth = np.where(read, sample.depth_gt, 0).astype(np.float32)  # where nothing was read, no truth: not scored
+    return metrics.evaluate(np.where(read, sample.depth, 1).astype(np.float32), truth, sample.region, sample.depth)
+
+
+def kept_bit_for_bit(out: Completion, depth: np.ndarray) -> bool:
+    """Return whether every reading outside the region came back with the very same bits."""
+    keep = (depth > 0) & ~out.region
+    return np.array_equal(out.depth[keep].view(np.uint32), depth[keep].view(np.uint32))
+
+
+def summary(results: Sequence[Result], protocol: Protocol | None = None) -> dict[str, Any]:
+    """Condense :func:`run_methods`' results; ``protocol`` says how its scores are averaged.
+
+    Returns:
+        ``images``; ``methods``: name -> ``metrics.average``, None where all frames were refused; ``differences``:
+        baseline -> set -> [mean, low, high] of DITR's RMSE minus the baseline's in metres, 95 %, paired over images,
+        None without common images; ``stage_one``: name -> [mean, low, high]; ``kept``: whether all frames passed;
+        ``refused``: method -> reason -> frames; ``protocol``: name -> average, when there is one.
+
+    Raises:
+        ValueError: for no results.
+    """
+    if not results:
+        raise ValueError("no results to summarise: run_methods was given no sample")
+    rmse = {name: {key: _rmse(results, name, key) for key in COMPARED} for name in results[0]["methods"]}
+    found = [r["stage_one"] for r in results if r["stage_one"]]
+    out = {
+        "images": len(results),
+        "methods": _averages(results, "methods", metrics.average),
+        "differences": {
+            name: {key: _interval(statistics.paired_bootstrap, rmse[DITR][key], rmse[name][key]) for key in COMPARED}
+            for name in rmse
+            if name != DITR
+        },
+        "stage_one": {
+            k: _interval(statistics.bootstrap_mean, [f.get(k) for f in found]) for k in STAGE_ONE + PER_CLASS
+        },
+        "kept": all(r["kept"] for r in results),
+        "refused": {},
+    }
+    for name in results[0]["methods"]:
+        if reasons := Counter(r["refused"][name] for r in results if name in r["refused"]):
+            out["refused"][name] = dict(reasons)
+    if "protocol" in results[0]:
+        out["protocol"] = _averages(results, "protocol", protocol.average if protocol else metrics.average)
+    return out
+
+
+def format_report(report: Mapping[str, Any], protocol: Protocol | None = None) -> str:
+    """Return :func:`summary`'s result as text: tables, intervals, stage one, and what did not go as it should."""
+    methods = {name: row or {} for name, row in report["methods"].items()}
+    width = max(len(name) for name in methods)
+    lines = [f"{report['images']} frames; a score is the mean over frames of the frame's value.", ""]
+    lines += [metrics.format_table(methods), "Pooled over all pixels instead, RMSE mm"]
+    lines += ["method".ljust(width) + "".join(key.rjust(15) for key in metrics.SETS)]
+    for name, row in methods.items():
+        cells = [f"{1000 * row[k]['pooled']['rmse']:15.1f}" if row.get(k) else "-".rjust(15) for k in metrics.SETS]
+        lines.append(name.ljust(width) + "".join(cells))
+    lines += ["", "RMSE of ditr minus RMSE of the method, mm: mean [95 % interval], paired over frames"]
+    lines += ["method".ljust(width) + "".join(key.rjust(26) for key in COMPARED)]
+    for name, row in report["differences"].items():
+        lines.append(name.ljust(width) + "".join(format_interval(row[key], 1000, "+.1f").rjust(26) for key in COMPARED))
+    lines.append("")
+    if protocol is not None and "protocol" in report:
+        rows = {name: row or {} for name, row in report["protocol"].items()}
+        lines += [f"As {protocol.name}'s code scores: {protocol.describe()}"]
+        lines += [metrics.format_table(rows, protocol.sets)]
+    if (one := report["stage_one"])["iou"] is not None:
+        figures = (f"{key} {format_interval(one[key], 1, '.3f')}" for key in STAGE_ONE + PER_CLASS if one.get(key))
+        lines.append("stage one: " + ", ".join(figures) + " (miss_rate and area_ratio after refinement)")
+    lines.append(f"{SENSOR} = bare readings, scored only where there are any; all others are dense")
+    lines.append("readings outside the region: " + ("kept bit for bit" if report["kept"] else "CHANGED, a defect"))
+    for name, reasons in report["refused"].items():
+        lines += [f"{name} refused {count} of {report['images']} frames: {why}" for why, count in reasons.items()]
+    return "\n".join(lines)
+
+
+def to_json(
+    results: Sequence[Result],
+    command: str,
+    weights: Path | str | None = None,
+    protocol: Protocol | None = None,
+    **notes: Any,
+) -> Result:
+    """Return what a committed result file holds: command, checksums of the weights, summary, RMSE of every frame.
+
+    Args:
+        results: of :func:`run_methods`.
+        command: that made them.
+        weights: folder of the weights; None for the shipped ones.
+        protocol: the one that they were scored with, if any.
+        notes: anything else to write down, e.g. the split.
+    """
+    frames = {
+        r["name"]: {m: {k: v and round(v["rmse"], 6) for k, v in (s or {}).items()} for m, s in r["methods"].items()}
+        for r in results
+    }
+    checksums = {name: part["sha256"] for name, part in read_card(weights)["parts"].items()}
+    condensed = summary(results, protocol)
+    return {"command": command, "weights_sha256": checksums, **notes, "summary": condensed, "rmse_m": frames}
+
+
+def _averages(results: Sequence[Result], key: str, average: Callable[[list], dict]) -> dict[str, Any]:
+    scored = {name: [r[key][name] for r in results if r[key][name]] for name in results[0][key]}
+    return {name: average(rows) if rows else None for name, rows in scored.items()}
+
+
+def _rmse(results: Sequence[Result], name: str, key: str) -> list[float | None]:
+    scores = [(r["methods"][name] or {}).get(key) for r in results]
+    return [s and s["rmse"] for s in scores]
+
+
+def _interval(bootstrap, *values) -> list[float] | None:
+    try:
+        return list(bootstrap(*values))
+    except ValueError:  # no frame has both
+        return None

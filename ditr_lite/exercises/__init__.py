@@ -1,0 +1,1 @@
+"""What the notebooks' exercises are checked with: an attempt is told what is wrong with it, not only that it is."""

@@ -1,0 +1,209 @@
+"""Checkers of the exercises on depth loss: each prints a check mark, or a cross with the reason, and never raises."""
+
+import numpy as np
+
+from ..camera import shadow_width_px
+from ..loss_types import label, partition
+from ..studies.loss_estimate import confusion
+from .checker import Function, check
+
+
+def check_match(attempt: Function) -> bool:
+    """Check ``attempt(left, right, row, column, half, largest) -> int``, the disparity of one pixel by block matching.
+
+    The window of ``2 * half + 1`` pixels a side around (row, column) of ``left`` is compared with the windows of
+    ``right`` that lie 0 to ``largest`` columns further left; the smallest sum of absolute differences wins.
+    """
+
+    def costs(left, right, row, column, half, largest, step=-1):
+        left, right = left.astype(float), right.astype(float)
+        rows = slice(row - half, row + half + 1)
+        window = left[rows, column - half : column + half + 1]
+        at = [column + step * d for d in range(largest + 1)]
+        return np.array([np.abs(window - right[rows, c - half : c + half + 1]).sum() for c in at])
+
+    def right_answer(*case):
+        return int(costs(*case).argmin())
+
+    def differences(left, right, row, column, half, largest):
+        rows = slice(row - half, row + half + 1)
+        window = left[rows, column - half : column + half + 1]
+        return [window - right[rows, column - d - half : column - d + half + 1] for d in range(largest + 1)]
+
+    def wrapped(*case):
+        return int(np.argmin([np.abs(d).sum() for d in differences(*case)]))
+
+    def signed(left, right, *case):
+        return int(np.argmin([d.sum() for d in differences(left.astype(float), right.astype(float), *case)]))
+
+    def one_pixel(left, right, row, column, half, largest):
+        return right_answer(left, right, row, column, 0, largest)
+
+    rng = np.random.default_rng(3)
+    cases = []
+    for d in (5, 9, 7):
+        left = rng.integers(0, 256, (24, 60)).astype(np.uint8)
+        image = rng.integers(0, 256, left.shape).astype(np.uint8)
+        image[:, :-d] = left[:, d:]  # what lies in column u on the left lies in column u - d on the right
+        noise = rng.integers(-60, 61, left.shape)
+        cases.append((left, np.clip(image + noise, 0, 255).astype(np.uint8), 12, 34, 3, 16))
+    mistakes = {
+        "uint8 differences wrap around (2 - 3 = 255): convert to float or int first": wrapped,
+        "the match lies further left in the right image: column - d, not column + d": lambda *c: int(
+            costs(*c, step=1).argmin()
+        ),
+        "that is the worst match: the smallest cost wins": lambda *c: int(costs(*c).argmax()),
+        "that is the smallest cost itself; the disparity is where it occurs": lambda *c: costs(*c).min(),
+        "that is the column of the match; the disparity is the shift": lambda *c: c[3] - right_answer(*c),
+        "one pixel is not enough: compare the whole window": one_pixel,
+        "disparities start at 0: the result is one too large": lambda *c: right_answer(*c) + 1,
+        "the differences cancel: take absolute values before the sum": signed,
+    }
+    return check("block matching", attempt, right_answer, cases, mistakes)
+
+
+def check_refract(attempt: Function) -> bool:
+    """Check ``attempt(angle_deg, n_from, n_to) -> angle_deg``, Snell's law; NaN where all light is reflected."""
+
+    def right(angle, n_from, n_to):
+        return np.rad2deg(np.arcsin(n_from / n_to * np.sin(np.deg2rad(angle))))
+
+    mistakes = {
+        "the indices are swapped: n_from sin(angle_from) = n_to sin(angle_to)": lambda a, n, m: right(a, m, n),
+        "the result is in radians; degrees are wanted": lambda a, n, m: np.deg2rad(right(a, n, m)),
+        "NumPy's sine takes radians: convert the angle first": lambda a, n, m: np.rad2deg(
+            np.arcsin(n / m * np.sin(np.float64(a)))
+        ),
+        "the sines are left out: that holds for small angles only": lambda a, n, m: n / m * np.asarray(a),
+        "that is the sine; its arcsine is the angle": lambda a, n, m: n / m * np.sin(np.deg2rad(a)),
+        "that is the mirrored ray: it leaves at the angle at which it came": lambda a, n, m: np.asarray(a) * 1.0,
+    }
+    angles = np.array([0.0, 20.0, 50.0, 80.0])
+    return check("refraction", attempt, right, [(angles, 1.0, 1.5), (angles, 1.5, 1.0)], mistakes)
+
+
+def check_virtual_image(attempt: Function) -> bool:
+    """Check ``attempt(point, normal, distance) -> (3,)``: the mirror image of a point in the plane n . x = distance."""
+
+    def right(p, n, d):
+        return p - 2 * (p @ n - d) * n
+
+    mistakes = {
+        "that is the foot on the mirror: go twice as far": lambda p, n, d: p - (p @ n - d) * n,
+        "the image lies on the other side: subtract": lambda p, n, d: p + 2 * (p @ n - d) * n,
+        "the mirror does not pass through the camera: its distance is left out": lambda p, n, d: p - 2 * (p @ n) * n,
+        "the whole point is turned over; only its part along the normal is": lambda p, n, d: -p,
+        "the factor 2 goes with the distance as well": lambda p, n, d: p - (2 * (p @ n) - d) * n,
+        "the sign of the distance is reversed": lambda p, n, d: right(p, n, -d),
+    }
+    tilted = np.array([0.48, -0.6, 0.64])  # unit length
+    cases = [(np.array([0.1, -0.2, 0.7]), np.array([0.0, 0.0, 1.0]), 0.9), (np.array([0.3, 0.1, 0.5]), tilted, 0.4)]
+    return check("virtual image", attempt, right, cases, mistakes)
+
+
+def check_label(attempt: Function) -> bool:
+    """Check ``attempt(depth, depth_gt, region) -> codes``, 0 to 5 as in ``LossType``; all truth is known here.
+
+    Wrong means off by more than 10 mm *and* by more than 2 %, that is by more than the larger of the two.
+    """
+
+    def made(d, g, r, limit):
+        wrong = np.abs(d - g) > limit(g)
+        return np.where(d == 0, 2, wrong) + 3 * r
+
+    def larger(g):
+        return np.maximum(0.010, 0.02 * g)
+
+    def right(d, g, r):
+        return label(d, g, r).astype(int)
+
+    mistakes = {
+        "missing pixels (0) are called wrong: test for them first": lambda d, g, r: (np.abs(d - g) > larger(g)) + 3 * r,
+        "both thresholds must be passed, so the larger one counts": lambda d, g, r: made(
+            d, g, r, lambda g: np.minimum(0.010, 0.02 * g)
+        ),
+        "the 2 % are left out": lambda d, g, r: made(d, g, r, lambda g: 0.010),
+        "the 10 mm are left out": lambda d, g, r: made(d, g, r, lambda g: 0.02 * g),
+        "that tests for 10 metres: depth is in metres": lambda d, g, r: made(d, g, r, lambda g: np.maximum(10, g)),
+        "too near is wrong as well: take the absolute difference": lambda d, g, r: (
+            np.where(d == 0, 2, d - g > larger(g)) + 3 * r
+        ),
+        "inside and outside are swapped: inside the region codes start at 3": lambda d, g, r: made(d, g, ~r, larger),
+        "wrong is 1 and missing 2": lambda d, g, r: np.array([0, 2, 1])[made(d, g, r, larger) % 3] + 3 * r,
+        "the region is left out": lambda d, g, r: made(d, g, 0 * r, larger),
+    }
+    rng = np.random.default_rng(5)
+    truth = rng.uniform(0.2, 1.5, (16, 20)).astype(np.float32)
+    error = rng.choice([0.002, 0.007, 0.013, 0.022, 0.05], truth.shape) * rng.choice([-1, 1], truth.shape)
+    depth = np.where(rng.random(truth.shape) < 0.2, 0, truth + error).astype(np.float32)
+    region = rng.random(truth.shape) < 0.4
+    return check("loss types", attempt, right, [(depth, truth, region)], mistakes)
+
+
+def check_partition(attempt: Function) -> bool:
+    """Check ``attempt(depth, region) -> (depth_op, depth_geo)``, the right halves of Eq. 1 and 2; 0 is nothing."""
+
+    def right(d, r):
+        parts = partition(np.zeros((*d.shape, 3), np.uint8), d, r)
+        return parts.depth_op, parts.depth_geo
+
+    def zero(keep, d):
+        return np.where(keep, d, 0)
+
+    mistakes = {
+        "the two parts are swapped: the optical one lies inside the region": lambda d, r: right(d, r)[::-1],
+        "the optical part holds everything: the parts overlap, against Eq. 2": lambda d, r: (d, zero(~r, d)),
+        "the geometric part holds everything: the parts overlap, against Eq. 2": lambda d, r: (zero(r, d), d),
+        "both parts are the same": lambda d, r: (zero(r, d), zero(r, d)),
+        "those are masks; depth is wanted": lambda d, r: (1.0 * r, 1.0 * ~r),
+        "the parts are cut short: keep the shape and put 0 elsewhere": lambda d, r: (d[r], d[~r]),
+    }
+    rng = np.random.default_rng(7)
+    depth = rng.uniform(0.4, 0.9, (6, 8)).astype(np.float32)
+    region = rng.random(depth.shape) < 0.5
+    return check("partition", attempt, right, [(depth, region)], mistakes)
+
+
+def check_smallest_offset(attempt: Function) -> bool:
+    """Check ``attempt(z_near, z_far, fx, width_px) -> metres``: which offset casts a shadow this many pixels wide."""
+
+    def right(near, far, fx, width):
+        return width / shadow_width_px(near, far, 1.0, fx)
+
+    mistakes = {
+        "the fraction is upside down": lambda n, f, x, w: 1 / right(n, f, x, w),
+        "that is millimetres; metres are wanted": lambda n, f, x, w: 1000 * right(n, f, x, w),
+        "that is negative: the nearer surface moves further": lambda n, f, x, w: -right(n, f, x, w),
+        "the focal length is left out": lambda n, f, x, w: right(n, f, 1, w),
+        "take the difference of the inverse depths, not the inverse of their difference": lambda n, f, x, w: (
+            w * (f - n) / x
+        ),
+        "shifts go with 1/z: take the difference of the inverse depths": lambda n, f, x, w: w / (x * (f - n)),
+        "that is the shift of the near surface alone; subtract the far one's": lambda n, f, x, w: w * n / x,
+        "that is the width of the shadow, not the offset": lambda n, f, x, w: x * w * (1 / n - 1 / f),
+    }
+    return check("offset of a shadow", attempt, right, [(0.5, 0.8, 600.0, 3.0), (0.4, 1.2, 260.0, 1.0)], mistakes)
+
+
+def check_precision_recall(attempt: Function) -> bool:
+    """Check ``attempt(truth, guess) -> (precision, recall)`` of two (H, W) bool maps of the same kind of pixel."""
+
+    def right(truth, guess):
+        (_, alarms), (misses, hits) = confusion(1 * truth, 1 * guess, range(2))
+        return hits / (hits + alarms), hits / (hits + misses)
+
+    mistakes = {
+        "the two are swapped: precision asks how many of the *guessed* pixels are true": lambda t, g: right(t, g)[::-1],
+        "divide by the guessed or the true pixels, not by all": lambda t, g: (np.mean(t & g), np.mean(t & g)),
+        "that is the share of pixels that agree; most are plainly neither": lambda t, g: (
+            np.mean(t == g),
+            np.mean(t == g),
+        ),
+        "those are the shares of pixels guessed and true; count the hits": lambda t, g: (g.mean(), t.mean()),
+        "that is in per cent; shares of 1 are wanted": lambda t, g: tuple(100 * k for k in right(t, g)),
+        "that is intersection over union": lambda t, g: ((t & g).sum() / (t | g).sum(),) * 2,
+        "those are scores of the other class: count where both are True": lambda t, g: right(~t, ~g),
+    }
+    rng = np.random.default_rng(11)
+    truth, noise = rng.random((20, 30)) < 0.2, rng.random((20, 30)) < 0.15
+    return check("precision and recall", attempt, right, [(truth, truth ^ noise)], mistakes)

@@ -1,0 +1,1 @@
+"""Small stand-ins for one idea of each system that the paper compares with."""

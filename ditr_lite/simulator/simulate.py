@@ -1,0 +1,222 @@
+"""Render scenes with Mitsuba 3 and turn them into samples: RGB, infrared pair, raw depth, the truth about each pixel.
+
+Recipe after DREDS (Dai et al., 2022): path-traced infrared pair under a projected dot pattern, block matching,
+reprojection into the RGB view. Mitsuba is an optional extra (``pip install .[simulate]``); nothing else in the package
+needs it.
+"""
+
+import os
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from tqdm.auto import tqdm
+
+from ..camera import Camera, Stereo
+from ..data import OPAQUE, Sample, read_meta, save_sample
+from ..loss_types import label
+from . import cameras as sensors
+from . import stereo as sensor
+from .render import load, mitsuba, render, truth
+from .scenes import Scene, Thing, random_scene
+
+SIZE = (192, 256)  # height, width of the RGB view
+INFRARED_SIZE = (232, 360)  # wider than the RGB view, so that matching has room
+RGB_PASSES, RGB_SAMPLES, INFRARED_SAMPLES = 4, 4, 5  # paths per pixel
+
+
+def simulate(seed: int, split: str = "train", keep_infrared: bool = False, preset: str | None = None) -> Sample:
+    """Render one scene and measure it with a random active-stereo sensor, or with one of four known ones.
+
+    Args:
+        seed: scene seed; the same seed, split and machine give the same bytes.
+        split: ``train``, ``val``, or ``test``, which alone has held-out shapes and materials.
+        keep_infrared: also return the infrared pair.
+        preset: a name of ``sensors.PRESETS``; None draws a sensor at random.
+
+    Returns:
+        Sample: with region, instances, loss types, causes and both cameras.
+    """
+    scene = random_scene(seed, split)
+    rng = np.random.default_rng([seed, 7])
+    kind = None if preset is None else sensors.preset(preset)
+    camera, stereo = _rig(rng) if kind is None else sensors.rig(kind, SIZE)
+    visible = load(scene)
+    rgb = photograph(visible, camera, scene.camera_pose, rng, seed)
+    points, depth_gt, ids = truth(visible, camera, scene.camera_pose, seed)
+    if kind is None:
+        depth, dropped, seen, pair, how = _random_sensor(scene, points, camera, stereo, rng, seed)
+    else:
+        depth, dropped, seen, pair = sensors.measure(kind, scene, points, camera, stereo, INFRARED_SAMPLES, seed)
+        how = {"sensor": preset}
+
+    kinds = np.array([OPAQUE, *(thing.kind for thing in scene.things)], np.uint8)
+    material = kinds[ids]
+    loss = label(depth, depth_gt, material > OPAQUE)
+    return Sample(
+        name=f"{split}_{seed:05d}",
+        rgb=rgb,
+        depth=depth,
+        depth_gt=depth_gt,
+        region=material > OPAQUE,
+        camera=camera,
+        material=material,
+        instances=ids.astype(np.uint8),
+        loss=loss,
+        cause=sensor.causes(loss, material, dropped, *seen),
+        ir_left=pair[0] if keep_infrared else None,
+        ir_right=pair[1] if keep_infrared else None,
+        stereo=stereo,
+        meta={"seed": seed, "split": split, **scene.style, **how, "things": _describe(scene.things)},
+    )
+
+
+def _random_sensor(
+    scene: Scene, points: np.ndarray, camera: Camera, stereo: Stereo, rng: np.random.Generator, seed: int
+) -> tuple[np.ndarray, np.ndarray, sensors.Seen, list[np.ndarray | None], dict[str, Any]]:
+    """Measure with a pattern, projector and matcher drawn from ``rng``; return as :func:`sensors.measure`, and how."""
+    left_pose = scene.camera_pose @ stereo.motion()
+    right_pose = left_pose @ _shift(stereo.baseline_m)
+    lit = load(scene, left_pose @ _shift(stereo.baseline_m * rng.uniform(0.2, 0.8)), rng)
+    matcher = sensor.random_matcher(rng)
+    pair, seen = [], []
+    for pose in (left_pose, right_pose):
+        radiance = render(lit, stereo.camera, pose, INFRARED_SAMPLES, seed).mean(axis=2)
+        pair.append(sensor.expose(radiance, matcher, rng))
+        seen.append(sensor.visible_from(points, truth(lit, stereo.camera, pose, seed)[1], stereo.camera, pose))
+    depth, dropped = sensor.raw_depth(*pair, stereo, camera, matcher, rng)
+    return depth, dropped, seen, pair, {"matcher": vars(matcher)}
+
+
+def simulate_many(
+    root: Path | str,
+    split: str,
+    count: int,
+    first_seed: int = 0,
+    workers: int = 1,
+    infrared: int = 0,
+    preset: str | None = None,
+) -> list[Path]:
+    """Render ``count`` scenes into ``root/split/``; scenes that are already there are kept, so a stopped run resumes.
+
+    Scenes in which nothing transparent or reflective is in view (below 0.5 % of the image), or in which the sensor
+    reads less than a quarter of the pixels, are skipped by moving on to the next seed; which those are depends on the
+    seeds alone, so the set is the same however it was made. A set holds one sensor's scenes only.
+
+    Args:
+        root: output folder.
+        split: as in :func:`simulate`.
+        count: scenes wanted.
+        first_seed: first seed to try.
+        workers: processes; one per core is best.
+        infrared: how many of the first seeds keep their infrared pair.
+        preset: as in :func:`simulate`; each sensor needs a root of its own, for the scenes have the same names.
+
+    Raises:
+        ValueError: for an unknown split or sensor, a count below 1, or a folder that holds another sensor's scenes.
+        ImportError: without Mitsuba.
+    """
+    if split not in ("train", "val", "test") or count < 1:
+        raise ValueError(f"expected a split of train, val, test and a count >= 1, got {split!r} and {count}")
+    if preset is not None:
+        sensors.preset(preset)
+    folder = Path(root) / split
+    _check_sensor(folder, preset)
+    mitsuba()
+    folder.mkdir(parents=True, exist_ok=True)
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
+    seeds = iter(range(first_seed, first_seed + 10 * count + 10))
+    done: list[Path] = []
+    with (
+        ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread) as pool,
+        tqdm(total=count, desc=f"{split} scenes", unit="scene") as bar,
+    ):
+        while len(done) < count:
+            batch = [next(seeds) for _ in range(count - len(done))]
+            jobs = {
+                pool.submit(_write, folder, split, seed, seed - first_seed < infrared, preset): seed for seed in batch
+            }
+            for job in as_completed(jobs):
+                path = job.result()
+                if path is not None:
+                    done.append(path)
+                    bar.update()
+    return sorted(done)
+
+
+def _check_sensor(folder: Path, preset: str | None) -> None:
+    """Raise ValueError where a finished scene was measured by another sensor: it would be taken for one of this set."""
+    for path in sorted(folder.glob(f"{folder.name}_*[0-9]/meta.json")):
+        stored = read_meta(path.parent)[2].get("sensor")  # absent: drawn at random
+        if stored != preset:
+            raise ValueError(
+                f"{path.parent} was measured by {stored or 'a random sensor'}, not {preset or 'a random one'}: "
+                "choose another root"
+            )
+
+
+def _write(folder: Path, split: str, seed: int, infrared: bool, preset: str | None) -> Path | None:
+    path, skipped = folder / f"{split}_{seed:05d}", folder / f".skipped_{seed:05d}"
+    if (path / "meta.json").is_file():
+        return path
+    if skipped.exists():
+        return None
+    sample = simulate(seed, split, infrared, preset)
+    if sample.region.mean() < 0.005 or (sample.depth > 0).mean() < 0.25:
+        skipped.touch()
+        return None
+    save_sample(sample, path)
+    return path
+
+
+def _one_thread() -> None:
+    cv2.setNumThreads(1)
+    mi = mitsuba()
+    import drjit as dr
+
+    dr.set_thread_count(1)  # one process per core: threads inside would only compete
+    assert mi.variant()
+
+
+def _rig(rng: np.random.Generator) -> tuple[Camera, Stereo]:
+    """Draw the two cameras: RGB, and an infrared pair 15 to 45 mm beside it with a baseline of 50 to 75 mm."""
+    height, width = SIZE
+    focal = rng.uniform(225, 275)
+    camera = Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
+    height, width = INFRARED_SIZE
+    focal *= rng.uniform(1.0, 1.15)
+    infrared = Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
+    motion = np.eye(4)
+    motion[:3, 3] = (-rng.uniform(0.015, 0.045), *rng.normal(0, 0.002, 2))
+    return camera, Stereo(infrared, float(rng.uniform(0.05, 0.075)), tuple(map(tuple, motion.tolist())))
+
+
+def _shift(x: float) -> np.ndarray:
+    pose = np.eye(4)
+    pose[0, 3] = x
+    return pose
+
+
+def photograph(loaded: Any, camera: Camera, pose: np.ndarray, rng: np.random.Generator, seed: int) -> np.ndarray:
+    """Return the (H, W, 3) uint8 sRGB picture: exposure, white balance error, gamma, and no grain.
+
+    Few paths leave bright and dark specks, and most in glass and metal: a network would learn the specks instead of the
+    glass. The median of independent passes, then of neighbours, removes them; then comes the denoising that cameras do.
+    """
+    passes = [render(loaded, camera, pose, RGB_SAMPLES, RGB_PASSES * seed + k) for k in range(RGB_PASSES)]
+    radiance = np.median(passes, axis=0)
+    exposure = rng.uniform(0.45, 0.75) / max(float(np.percentile(radiance, 80)), 1e-6)
+    balance = 1 + rng.normal(0, 0.05, 3)
+    image = (np.clip(radiance * exposure * balance, 0, 1) ** (1 / 2.2) * 255).astype(np.uint8)
+    smooth = cv2.medianBlur(image, 3)
+    speck = np.abs(image.astype(int) - smooth).max(axis=2, keepdims=True) > 10
+    return cv2.fastNlMeansDenoisingColored(np.where(speck, smooth, image), None, 4, 8, 5, 11)
+
+
+def _describe(things: list[Thing]) -> list[dict[str, Any]]:
+    """Return what a reader may want to know of each thing, in the order of the instance ids."""
+    keep = ("type", "ior", "metal", "roughness")
+    return [{"family": t.family, "kind": t.kind, **{k: t.material[k] for k in keep if k in t.material}} for t in things]

@@ -1,0 +1,245 @@
+"""A quick experiment: train the tiny system twice, with one setting changed the second time, and compare the two.
+
+Both arms see the same scenes, shrunk to the tiny working size, in the same order, with the same seed and as many steps;
+both are scored on the same frames, so differences are paired. Only what a setting touches is trained again. A tiny
+system trained for minutes says which way a change points, not how good the shipped system would become by it.
+"""
+
+import hashlib
+import json
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..config import Config, override, preset, to_dict
+from ..data import SAMPLES, read_sample
+from ..evaluation.scoring import DITR, run_methods
+from ..evaluation.statistics import format_interval, paired_bootstrap
+from ..pipeline import Ditr, build
+from ..store import CARD, load_part, read_card, save_part
+from ..training.batches import Scenes, checksum, first, join, load_scenes, shrink
+from ..training.loop import Recipe
+from ..training.parts import PARTS, check_same_system, folder_name, train_on
+
+SCORED = ("optical", "geometric")  # Table V's two kinds of loss
+QUICK = {
+    "autoencoder": Recipe(steps=800, batch=8, lr=2e-3, warmup=50, decay=0.98),
+    "region": Recipe(steps=200, batch=8, lr=2e-3, warmup=50, decay=0.98),
+    "optical": Recipe(steps=500, batch=8, lr=2e-3, warmup=50, decay=0.98),
+    "geometric": Recipe(steps=300, batch=8, lr=2e-3, warmup=50, decay=0.98),
+    "detail": Recipe(steps=300, batch=8, lr=2e-3, warmup=50, decay=0.98),
+}
+TOUCHES = {  # what has to be trained again when a setting, or one below it, changes
+    "size": PARTS,
+    "region": ("region",),
+    "refine": (),
+    "autoencoder": ("autoencoder", "optical", "geometric", "detail"),
+    "schedule": ("optical", "geometric", "detail"),
+    "unet": ("optical", "geometric", "detail"),
+    "sampler.prediction": ("optical", "geometric", "detail"),
+    "sampler.steps": (),
+    "sampler.samples": (),
+    "evidence": ("optical", "detail"),
+    "std": (),
+    "detail": ("detail",),
+}
+STAGE_ONE = ("region", "refine")  # settings that say nothing while the true region is given
+
+
+def compare(
+    settings: Mapping[str, Any],
+    data: Path | str | None = None,
+    val: Path | str = SAMPLES / "val",
+    folder: Path | str = "outputs/weights",
+    out: Path | str | None = None,
+    work: Path | str | None = None,
+    recipes: Mapping[str, Recipe] = QUICK,
+    steps: int | None = None,
+    limit: int | None = None,
+    frames: int | None = None,
+    seed: int = 0,
+    boundary: str = "classical",
+    command: str | None = None,
+) -> dict[str, Any]:
+    """Train the tiny preset as it is and with ``settings``, and score both.
+
+    Args:
+        settings: dotted setting -> value, as text or not: ``{"unet.heads": 1}``.
+        data: folder of rendered scenes to train on besides the shipped ones.
+        val: folder of rendered scenes to score on. They keep their size: depth is resized as for any frame.
+        folder: the arms go to ``tiny/default``, kept for the next experiment, and ``tiny/SETTINGS`` in it.
+        out: weights folder of the changed system instead.
+        work: folder for checkpoints; a temporary one by default.
+        recipes: part -> how it is trained.
+        steps: of every part instead of the recipe's.
+        limit: train on the first scenes only.
+        frames: score the first frames only.
+        seed: of everything random, in both arms.
+        boundary: backend of the guides in training.
+        command: that asked for it, for the cards.
+
+    Returns:
+        ``settings``; ``trained``, the parts that were trained again; ``region``, "given" or "found"; ``scenes``,
+        ``frames``, ``seed``; ``seconds``, per arm, 0 for one that was kept; ``rmse_m``: arm -> "optical" and
+        "geometric" -> one value a frame or None; ``difference``: the same sets -> [mean, low, high] of changed minus
+        default, 95 % over frames, None without a common frame.
+
+    Raises:
+        ValueError: for unknown settings, settings that change nothing or cannot be, folders without scenes, or an
+            ``out`` that holds another system.
+    """
+    base = preset("tiny")
+    config, trained = override(base, **settings), touched(base, settings)
+    build(config)  # what cannot be built is refused before the other arm is trained
+    if out is not None:
+        check_same_system(config, out)
+    if steps is not None:
+        recipes = {part: replace(recipe, steps=steps) for part, recipe in recipes.items()}
+    home = Path(folder) / "tiny"
+    names = {"default": "default", "changed": folder_name(settings)}
+    paths = {"default": home / "default", "changed": Path(out) if out else home / names["changed"]}
+    found = any(key.split(".")[0] in STAGE_ONE for key in settings)
+    scored = [p.parent for p in sorted(Path(val).glob("*/meta.json"))][:frames]
+    if not scored:
+        raise ValueError(f"no scenes in {val} to score on: make them with `python -m ditr_lite simulate`")
+    samples = [read_sample(path) for path in scored]
+    homes = [SAMPLES / "train"] + ([Path(data)] if data else [])
+    scenes = {
+        size: first(join([shrink(load_scenes(home, limit), size, boundary) for home in homes]), limit)
+        for size in {base.size, config.size}
+    }
+    seconds, rmse = {}, {}
+    with tempfile.TemporaryDirectory() as temporary:
+        spare = Path(work or temporary)
+        for arm, given in (("default", base), ("changed", config)):
+            start = None if arm == "default" else (paths["default"], trained)
+            own = arm == "default" or out is None
+            seconds[arm] = train_arm(
+                given, scenes[given.size], paths[arm], spare / names[arm], recipes, seed, boundary, start, own, command
+            )
+    for arm, path in paths.items():
+        rows = run_methods(samples, Ditr.from_pretrained(path=path), {}, given_region=not found)
+        rmse[arm] = {k: [(s := r["methods"][DITR][k]) and s["rmse"] for r in rows] for k in SCORED}
+    return {
+        "settings": {key: str(value) for key, value in settings.items()},
+        "trained": list(trained),
+        "region": "found" if found else "given",
+        "scenes": len(scenes[base.size]),
+        "frames": len(samples),
+        "seed": seed,
+        "seconds": seconds,
+        "rmse_m": rmse,
+        "difference": {k: _interval(rmse["changed"][k], rmse["default"][k]) for k in SCORED},
+    }
+
+
+def touched(base: Config, settings: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the parts that must be trained again when ``settings`` change ``base``, in the order of training.
+
+    Raises:
+        ValueError: for unknown settings, or when the result is no other system.
+    """
+    config = override(base, **settings)
+    if not settings or replace(config, name=base.name) == base:
+        raise ValueError("nothing is changed: give settings other than the tiny preset's, like unet.heads=1")
+    keys = [key for key in TOUCHES for setting in settings if f"{setting}.".startswith(f"{key}.")]
+    parts = {part for key in keys for part in TOUCHES[key]}
+    return tuple(p for p in PARTS if p in parts and (p != "detail" or config.detail.width))
+
+
+def train_arm(
+    config: Config,
+    scenes: Scenes,
+    folder: Path,
+    work: Path,
+    recipes: Mapping[str, Recipe],
+    seed: int,
+    boundary: str,
+    start: tuple[Path, Sequence[str]] | None = None,
+    own: bool = True,
+    command: str | None = None,
+) -> float:
+    """Train one arm, unless ``folder`` holds the very same already, and return the seconds that it took.
+
+    Args:
+        config: of the arm.
+        scenes: at its working size.
+        folder: for the weights.
+        work: for checkpoints.
+        recipes: per part.
+        seed: of everything random.
+        boundary: backend of the guides.
+        start: (folder, parts): train only these and copy the others from there; None trains all.
+        own: whether weights of another configuration in ``folder`` may go; otherwise they are refused.
+        command: that asked for it, for the card.
+    """
+    key = _key(config, scenes, recipes, seed, boundary, start and start[1])
+    parts = [p for p in PARTS if p != "detail" or config.detail.width]
+    if _kept(folder, parts, key):
+        return 0.0
+    if own:
+        (folder / CARD).unlink(missing_ok=True)
+    check_same_system(config, folder)
+    begun = time.monotonic()
+    for part in parts:
+        if start is None or part in start[1]:
+            train_on(part, config, scenes, None, folder, work, recipes[part], seed, command=command, key=key)
+        else:
+            notes = read_card(start[0])["parts"][part]
+            save_part(part, load_part(part, start[0]), config, folder, {**notes, "copied": str(start[0]), "key": key})
+    return time.monotonic() - begun
+
+
+def format_comparison(result: Mapping[str, Any]) -> str:
+    """Return :func:`compare`'s result as text."""
+    changed = ", ".join(f"{key}={value}" for key, value in result["settings"].items())
+    width = max(len(changed), len("tiny as it is"))
+    trained = ", ".join(result["trained"]) or "nothing"
+    lines = [f"{result['scenes']} scenes to train on, seed {result['seed']}; trained again: {trained}"]
+    lines += [
+        f"{result['frames']} frames, region {result['region']}; RMSE mm, the mean over frames of the frame's value"
+    ]
+    lines += ["".ljust(width) + "".join(key.rjust(26) for key in SCORED)]
+    for arm, title in (("default", "tiny as it is"), ("changed", changed)):
+        means = [_mean(result["rmse_m"][arm][key]) for key in SCORED]
+        lines.append(title.ljust(width) + "".join(cell.rjust(26) for cell in means))
+    cells = [format_interval(result["difference"][key], 1000) for key in SCORED]
+    lines.append("difference".ljust(width) + "".join(cell.rjust(26) for cell in cells))
+    lines.append("[95 % interval], paired over frames. Training has its own chance: see whether another seed agrees.")
+    return "\n".join(lines)
+
+
+def _mean(values: Sequence[float | None]) -> str:
+    kept = [v for v in values if v is not None]
+    return f"{1000 * np.mean(kept):.1f}" if kept else "-"
+
+
+def _interval(a: Sequence[float | None], b: Sequence[float | None]) -> list[float] | None:
+    try:
+        return list(paired_bootstrap(a, b))
+    except ValueError:  # no frame has such pixels
+        return None
+
+
+def _key(config: Config, scenes: Scenes, recipes: Mapping[str, Recipe], *others: Any) -> str:
+    """Return a checksum of all that an arm depends on: sizes, recipes, pictures, and the code itself."""
+    rates = {part: asdict(r) for part, r in recipes.items()}
+    plain = [to_dict(config), rates, checksum(scenes), others, torch.__version__]
+    digest = hashlib.sha256(json.dumps(plain).encode())
+    for source in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
+
+
+def _kept(folder: Path, parts: Sequence[str], key: str) -> bool:
+    try:
+        card = read_card(folder)["parts"]
+        return all(card[p]["key"] == key and load_part(p, folder) for p in parts)
+    except (ValueError, KeyError):  # none, damaged, or trained by something else
+        return False

@@ -1,0 +1,175 @@
+"""When does it fail? Every frame described by what is known of its scene, and the errors ranked against that.
+
+Paper: Sec. V-G and Fig. 13 show failures on "very large" and on overlapping objects, picked by hand. Picked frames show
+that such failures exist, not that they are more frequent there; a search over all frames can tell.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from scipy.stats import rankdata
+
+from .. import metrics
+from ..conditioning import depth_bounds, fit
+from ..data import Sample
+from ..pipeline import Ditr
+
+MIN_PIXELS = 20  # fewer of an object are a sliver between others, not an object that is seen
+DESCRIBED = {  # what a frame is described by: name -> what it says
+    "region_share": "share of the picture that is glass or mirror",
+    "largest_share": "share of the picture that the largest such object covers",
+    "objects": "number of glass and metal objects seen",
+    "overlap": "share of their outlines that borders another object",
+    "distance_m": "median true distance of the region, m",
+    "missing_share": "share of the region without a reading",
+    "miss_rate": "share of the region that stage one misses",
+}
+PAPER = ("largest_share", "overlap")  # Sec. V-G names these two
+Description = dict[str, float | None]
+
+
+def describe(sample: Sample, found: np.ndarray | None = None) -> Description:
+    """Return the figures of :data:`DESCRIBED` for one frame; ``miss_rate`` is None without ``found``.
+
+    Args:
+        sample: with region, instances and ground truth.
+        found: (H, W) bool, the region that stage one found, after refinement.
+
+    Raises:
+        ValueError: for a frame without those, or with nothing in its region.
+    """
+    if sample.region is None or sample.instances is None or sample.depth_gt is None:
+        raise ValueError(f"{sample.name} lacks region, instances or ground truth: describe rendered scenes")
+    known = sample.region & (sample.depth_gt > 0)
+    if not known.any():
+        raise ValueError(f"{sample.name} has nothing in its region: there is no optical error to explain")
+    sizes = np.bincount(sample.instances[sample.region])
+    seen = sizes[1:][sizes[1:] >= MIN_PIXELS]
+    return {
+        "region_share": float(sample.region.mean()),
+        "largest_share": float(sizes[1:].max(initial=0) / sample.region.size),
+        "objects": float(len(seen)),
+        "overlap": overlap(sample.instances, sample.region),
+        "distance_m": float(np.median(sample.depth_gt[known])),
+        "missing_share": float((sample.depth[sample.region] == 0).mean()),
+        "miss_rate": None if found is None else metrics.miss_rate(found, sample.region),
+    }
+
+
+def overlap(instances: np.ndarray, region: np.ndarray) -> float:
+    """Return which share of the outline of glass and metal objects borders another object and not the background.
+
+    The outline is counted in pairs of pixels above or beside each other that belong to different instances, at least
+    one of them in the region. Whether objects overlap or only touch in the picture makes no difference to a camera.
+
+    Args:
+        instances: (H, W) whole numbers, 0 = background.
+        region: (H, W) bool.
+
+    Returns:
+        0 to 1; 0 for a region without any outline.
+
+    Raises:
+        ValueError: for maps of different shapes.
+    """
+    if instances.shape != region.shape:
+        raise ValueError(f"instances are {instances.shape}, the region {region.shape}: they should be alike")
+    outline = shared = 0
+    for one, other in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        apart = (instances[one] != instances[other]) & (region[one] | region[other])
+        outline += int(apart.sum())
+        shared += int((apart & (instances[one] > 0) & (instances[other] > 0)).sum())
+    return shared / outline if outline else 0.0
+
+
+@torch.no_grad()
+def found_region(ditr: Ditr, sample: Sample) -> np.ndarray:
+    """Return the refined region (H, W) bool that stage one finds, without running stage two."""
+    frame = fit(sample.depth.shape, ditr.config.size)
+    small = frame.into(sample.rgb), frame.into(sample.depth)
+    return frame.back(ditr.find_region(*small, depth_bounds(sample.depth), frame)[1])
+
+
+def spearman(x: Sequence[float], y: Sequence[float]) -> float:
+    """Return Spearman's rank correlation, -1 to 1: Pearson's of the ranks, equal values sharing their mean rank.
+
+    Raises:
+        ValueError: for fewer than two pairs, or for values that are all alike.
+    """
+    return float(_spearman(*(np.asarray(v, np.float64)[None] for v in (x, y)))[0])
+
+
+def spearman_interval(
+    x: Sequence[float | None], y: Sequence[float | None], n: int = 2000, seed: int = 0
+) -> tuple[float, float, float]:
+    """Return (rho, low, high): Spearman's correlation and its 95 % percentile-bootstrap interval over frames.
+
+    Args:
+        x: one value a frame; None leaves the frame out.
+        y: likewise.
+        n: resamples; those in which all values are alike are left out.
+        seed: of the resampling.
+
+    Raises:
+        ValueError: for lists of different lengths, and as :func:`spearman`.
+    """
+    if len(x) != len(y):
+        raise ValueError(f"x and y should describe the same frames, got {len(x)} and {len(y)} values")
+    pairs = np.array([(a, b) for a, b in zip(x, y, strict=True) if a is not None and b is not None], np.float64)
+    rho = spearman(*pairs.reshape(-1, 2).T)
+    picks = np.random.default_rng(seed).integers(0, len(pairs), size=(n, len(pairs)))
+    drawn = pairs[picks]  # (n, N, 2)
+    varied = (np.ptp(drawn, axis=1) > 0).all(axis=1)
+    low, high = np.percentile(_spearman(drawn[varied, :, 0], drawn[varied, :, 1]), [2.5, 97.5])
+    return rho, float(low), float(high)
+
+
+def correlations(
+    errors: Mapping[str, float | None], described: Mapping[str, Description]
+) -> dict[str, tuple[float, float, float] | None]:
+    """Return Spearman's correlation of the error with every figure of :data:`DESCRIBED`, over the frames in both.
+
+    Returns:
+        figure -> (rho, low, high); None where it cannot be told (not measured, or the same in all frames).
+    """
+    names = [name for name in described if errors.get(name) is not None]
+    out = {}
+    for key in DESCRIBED:
+        try:
+            out[key] = spearman_interval([described[name][key] for name in names], [errors[name] for name in names])
+        except ValueError:
+            out[key] = None
+    return out
+
+
+def format_ranges(described: Mapping[str, Description]) -> str:
+    """Return, a line for each figure of :data:`DESCRIBED`, what it says and its range over the frames that have it."""
+    lines = []
+    for key, says in DESCRIBED.items():
+        values = [d[key] for d in described.values() if d[key] is not None]
+        lines.append(f"  {says:55} " + (f"{min(values):6.3f} to {max(values):6.3f}" if values else "not measured"))
+    return "\n".join(lines)
+
+
+def worst(errors: Mapping[str, float | None], count: int = 10) -> list[str]:
+    """Return the names of the frames with the largest errors, the worst first; frames without an error do not count."""
+    scored = {name: error for name, error in errors.items() if error is not None}
+    return sorted(scored, key=lambda name: -scored[name])[:count]
+
+
+def verdict(key: str, rho: tuple[float, float, float] | None) -> str:
+    """Return in words what a correlation says about one figure of :data:`DESCRIBED`."""
+    if rho is None:
+        return f"{key}: cannot be told from these frames"
+    said = "errors grow with it" if rho[1] > 0 else "errors shrink with it" if rho[2] < 0 else "no measurable relation"
+    return "{}: {} (rank correlation {:+.2f} [{:+.2f}, {:+.2f}])".format(key, said, *rho)
+
+
+def _spearman(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the correlation of each row of (n, N) with the same row of the other."""
+    if x.shape != y.shape or x.shape[1] < 2 or (np.ptp(x, axis=1) == 0).any() or (np.ptp(y, axis=1) == 0).any():
+        raise ValueError(f"expected two rows of at least 2 numbers that are not all alike, got {x.shape}, {y.shape}")
+    centred = [rank - rank.mean(axis=1, keepdims=True) for rank in (rankdata(v, axis=1) for v in (x, y))]
+    norms = [np.sqrt((c**2).sum(axis=1)) for c in centred]
+    return (centred[0] * centred[1]).sum(axis=1) / (norms[0] * norms[1])

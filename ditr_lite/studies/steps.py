@@ -1,0 +1,166 @@
+"""Few steps or many, one sample or the mean of many: what RMSE says, and what it hides.
+
+Paper: Sec. V-B states 1,000 steps and no number of samples. A sample is one possible depth, with edges; the mean of
+samples is the better bet by RMSE and a worse depth map. One step from pure noise returns nearly the mean already.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .. import metrics
+from ..data import Sample
+from ..evaluation.draws import flying_share
+from ..evaluation.statistics import bootstrap_mean, format_interval, paired_bootstrap
+
+SETS = ("optical", "geometric")
+# steps -> (frames, members drawn for each): many steps are dear, so fewer frames are asked; rows say how many
+PLAN = {1: (8, 8), 2: (8, 8), 4: (8, 8), 10: (8, 8), 50: (4, 8), 250: (3, 4), 1000: (2, 2)}
+MEASURES = {  # of a frame's members -> what it is called
+    "single": "RMSE of a draw",
+    "mean": "RMSE of their mean",
+    "crps": "CRPS",
+    "spread": "spread",
+    "flying_single": "flying in a draw",
+    "flying_mean": "flying in their mean",
+}
+
+
+def score_members(members: Sequence[np.ndarray], sample: Sample) -> dict[str, Any]:
+    """Score an ensemble of one frame's completions.
+
+    Args:
+        members: (H, W) metres each.
+        sample: with truth and region.
+
+    Returns:
+        ``single``, ``mean``: set -> RMSE in metres, of a single member on average and of the mean of 1, 2, 4, ...
+        members (by their number); ``crps``, ``spread``: set -> metres; ``flying_single``, ``flying_mean``: per cent of
+        the region's pixels at depth edges, None without such.
+    """
+    stack = np.stack(members)
+    pixels = metrics.pixel_sets(sample.depth_gt, sample.region, sample.depth)
+    counts = [2**k for k in range(len(members).bit_length()) if 2**k <= len(members)]
+    out: dict[str, Any] = {"single": {}, "mean": {str(n): {} for n in counts}, "crps": {}, "spread": {}}
+    for key in SETS:
+        where = pixels[key]
+        if where is None or not where.any():
+            continue
+        each = [metrics.rmse(m, sample.depth_gt, where) for m in members]
+        out["single"][key] = float(np.mean(each))
+        for n in counts:  # of disjoint groups, so that every member counts once
+            groups = [stack[i : i + n].mean(0) for i in range(0, len(members) - n + 1, n)]
+            out["mean"][str(n)][key] = float(np.mean([metrics.rmse(g, sample.depth_gt, where) for g in groups]))
+        out["crps"][key] = metrics.crps(stack, sample.depth_gt, where)
+        out["spread"][key] = float(stack.std(0, ddof=int(len(members) > 1))[where].mean())
+    singles = [flying_share(m, sample.depth_gt, sample.region) for m in members]
+    out["flying_single"] = None if None in singles else float(np.mean(singles))
+    out["flying_mean"] = flying_share(stack.mean(0), sample.depth_gt, sample.region)
+    return out
+
+
+def run_plan(
+    draw: Callable[[Sample, int, int], np.ndarray],
+    samples: Sequence[Sample],
+    plan: Mapping[int, tuple[int, int]] = PLAN,
+    save: Callable[[dict], None] = lambda rows: None,
+) -> dict[str, list[dict[str, Any]]]:
+    """Return steps -> one :func:`score_members` result a frame.
+
+    Args:
+        draw: (frame, steps, seed) -> one completion (H, W).
+        samples: frames, at least as many as the plan asks for.
+        plan: see :data:`PLAN`.
+        save: called with the rows so far after every number of steps.
+    """
+    rows: dict[str, list[dict[str, Any]]] = {}
+    for steps, (frames, count) in plan.items():
+        rows[str(steps)] = [
+            score_members([draw(sample, steps, seed) for seed in range(count)], sample) for sample in samples[:frames]
+        ]
+        save(rows)
+    return rows
+
+
+def against_one(
+    rows: Mapping[str, Sequence[Mapping[str, Any]]], steps: str, key: str
+) -> dict[str, tuple[float, float, float] | None]:
+    """Return what more steps change: measure of :data:`MEASURES` -> (mean, low, high) minus the fewest steps.
+
+    Both sides are of the same frames and the same number of members, which the rows of :data:`PLAN` are not.
+    Metres, flying pixels in percentage points; None where no frame has such pixels.
+    """
+    first, more = next(iter(rows.values())), rows[steps]
+    count = max(map(int, more[0]["mean"]))
+    out = {}
+    for name in MEASURES:
+        sides = [[_value(row, name, key, count) for row in side] for side in (more, first[: len(more)])]
+        paired = [(a, b) for a, b in zip(*sides, strict=True) if a is not None and b is not None]
+        out[name] = paired_bootstrap(*zip(*paired, strict=True)) if paired else None
+    return out
+
+
+def format_steps(rows: Mapping[str, Sequence[Mapping[str, Any]]], key: str = "optical") -> str:
+    """Return the table of a pixel set in mm: the fewest steps, then what each number of steps changes on its frames."""
+    start, first = next(iter(rows.items()))
+    count = max(map(int, first[0]["mean"]))
+    names = [name for name in MEASURES if not name.startswith("flying")]
+    levels = {n: 1000 * bootstrap_mean([_value(row, n, key, count) for row in first])[0] for n in names}
+    lines = [f"{key}, {start} step{'s' * (start != '1')}, {len(first)} frames, {count} draws: "]
+    lines[0] += ", ".join(f"{MEASURES[n]} {mm:.1f} mm" for n, mm in levels.items())
+    lines.append("minus that, same frames" + "".join(MEASURES[n].rjust(23) for n in names))
+    for steps, frames in list(rows.items())[1:]:
+        gaps = against_one(rows, steps, key)
+        lines.append(
+            f"{steps:>5} steps, {len(frames)} frames".ljust(23)
+            + "".join(format_interval(gaps[n], 1000).rjust(23) for n in names)
+        )
+    return "\n".join(lines)
+
+
+def format_flying(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
+    """Return the share of flying pixels at the region's depth edges, in %, and what each number of steps changes."""
+    start, first = next(iter(rows.items()))
+    names = [name for name in MEASURES if name.startswith("flying")]
+    levels = [f"{MEASURES[n]} {bootstrap_mean([row[n] for row in first])[0]:.1f} %" for n in names]
+    lines = [f"pixels at depth edges, {start} step{'s' * (start != '1')}: " + ", ".join(levels)]
+    lines.append("minus that, points     " + "".join(MEASURES[n].rjust(23) for n in names))
+    for steps, frames in list(rows.items())[1:]:
+        gaps = against_one(rows, steps, "optical")
+        lines.append(
+            f"{steps:>5} steps, {len(frames)} frames".ljust(23)
+            + "".join(format_interval(gaps[n]).rjust(23) for n in names)
+        )
+    return "\n".join(lines)
+
+
+def verdicts(rows: Mapping[str, Sequence[Mapping[str, Any]]], key: str = "optical") -> str:
+    """Say whether more steps buy what they promise: less CRPS, fewer flying pixels, draws that differ as they err.
+
+    Of the numbers of steps that saw all frames, the largest is set beside the smallest.
+    """
+    start, first = next(iter(rows.items()))
+    steps = [s for s, frames in rows.items() if len(frames) == len(first)][-1]
+    gaps, count = against_one(rows, steps, key), max(map(int, rows[steps][0]["mean"]))
+    lines = [f"{steps} steps against {start}, {key}, {len(first)} frames:"]
+    for name, says in MEASURES.items():
+        gap = gaps[name]
+        if name == "spread" or gap is None:
+            continue
+        said = "worse" if gap[1] > 0 else "better" if gap[2] < 0 else "no measurable difference"
+        unit, factor = ("points", 1) if name.startswith("flying") else ("mm", 1000)
+        lines.append(f"  {says:22} {said} ({format_interval(gap, factor)} {unit})")
+    spread, error = (
+        1000 * bootstrap_mean([_value(r, n, key, count) for r in rows[steps]])[0] for n in ("spread", "mean")
+    )
+    fits = "about right" if 0.8 < error / spread < 1.25 else "too small" if error > spread else "too large"
+    lines.append(f"  spread of the draws    {spread:.1f} mm, error of their mean {error:.1f} mm: the spread is {fits}")
+    return "\n".join(lines)
+
+
+def _value(row: Mapping[str, Any], name: str, key: str, count: int) -> float | None:
+    """Return one measure of one frame; ``mean`` is that of ``count`` members."""
+    if name.startswith("flying"):
+        return row[name]
+    return (row["mean"][str(count)] if name == "mean" else row[name]).get(key)

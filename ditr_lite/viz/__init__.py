@@ -1,0 +1,43 @@
+"""Every picture of the repository; ``dl.viz.grid`` and its like, drawn with Matplotlib outside pyplot."""
+
+from .grids import (
+    GREY,
+    OKABE_ITO,
+    Panel,
+    Picture,
+    compare,
+    contact_sheet,
+    depth,
+    depth_limits,
+    error,
+    grid,
+    labels,
+    point_cloud_points,
+    point_cloud_side,
+    rgb,
+    row,
+    save_panel,
+    signed_error,
+    spread,
+)
+
+__all__ = [
+    "GREY",
+    "OKABE_ITO",
+    "Panel",
+    "Picture",
+    "compare",
+    "contact_sheet",
+    "depth",
+    "depth_limits",
+    "error",
+    "grid",
+    "labels",
+    "point_cloud_points",
+    "point_cloud_side",
+    "rgb",
+    "row",
+    "save_panel",
+    "signed_error",
+    "spread",
+]

@@ -1,0 +1,428 @@
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from ditr_lite import data, files, pipeline, store
+from ditr_lite.cli import DATASETS, main
+from ditr_lite.config import preset
+from ditr_lite.evaluation import memory, yardstick
+from ditr_lite.training import recipes
+
+ROOT = Path(__file__).resolve().parents[2]
+REAL = ROOT.parent / "shared" / "real"
+needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="no real frames beside the repository")
+SHAPE = (64, 96)
+
+
+@pytest.fixture(scope="session")
+def weights(tmp_path_factory):
+    """Untrained weights of the tiny preset: enough to run everything."""
+    folder, config = tmp_path_factory.mktemp("weights"), preset("tiny")
+    for name, module in pipeline.build(config).items():
+        store.save_part(name, module.state_dict(), config, folder, {})
+    return folder
+
+
+@pytest.fixture(scope="session")
+def scenes(tmp_path_factory):
+    """Three small samples in each of the splits test and val."""
+    root = tmp_path_factory.mktemp("scenes")
+    rng = np.random.default_rng(0)
+    truth = np.tile(np.linspace(0.5, 0.7, SHAPE[1], dtype=np.float32), (SHAPE[0], 1))
+    material = np.zeros(SHAPE, np.uint8)
+    material[20:36, 30:50] = data.TRANSPARENT
+    for split in ("test", "val"):
+        for k in range(3):
+            rgb = rng.integers(0, 255, (*SHAPE, 3), np.uint8)
+            depth = np.where(rng.random(SHAPE) < 0.1, 0, truth + 0.03 * (material > 0)).astype(np.float32)
+            sample = data.Sample(f"{split}_{k:05d}", rgb, depth, truth, material > 0, material=material)
+            data.save_sample(sample, root / split / sample.name)
+    return root
+
+
+@pytest.fixture
+def frame(tmp_path):
+    """Return a folder with a good frame: a.png, b.png, m.png, K.txt."""
+    folder = tmp_path / "in"
+    folder.mkdir()
+    rng = np.random.default_rng(1)
+    cv2.imwrite(str(folder / "a.png"), rng.integers(0, 255, (*SHAPE, 3), np.uint8))
+    depth = np.full(SHAPE, 600, np.uint16)
+    depth[10:14, 10:20] = 0
+    cv2.imwrite(str(folder / "b.png"), depth)
+    mask = np.zeros(SHAPE, np.uint8)
+    mask[20:36, 30:50] = 255
+    cv2.imwrite(str(folder / "m.png"), mask)
+    (folder / "K.txt").write_text("90 0 47.5\n0 90 31.5\n0 0 1\n")
+    return folder
+
+
+def arguments(folder, weights, out, **changes):
+    values = {"rgb": folder / "a.png", "depth": folder / "b.png", "out": out, "weights": weights}
+    values |= {"steps": 1, "samples": 1} | changes
+    given = [(f"--{k.replace('_', '-')}", v) for k, v in values.items() if v is not None]
+    return ["complete", *(str(word) for pair in given for word in pair)]
+
+
+def refused(argv, capsys):
+    """Run a command line that must be refused and return the reason."""
+    assert main(argv) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("ditr_lite: error: ")
+    return lines[0].removeprefix("ditr_lite: error: ")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".npy", ".exr"])
+def test_complete_writes_dense_depth_and_keeps_readings(frame, weights, tmp_path, suffix, capsys):
+    out = tmp_path / "new" / f"c{suffix}"
+    assert main(arguments(frame, weights, out, region=frame / "m.png")) == 0
+    raw, region, depth = files.read_depth(frame / "b.png"), files.read_mask(frame / "m.png"), files.read_depth(out)
+    keep = (raw > 0) & ~region
+    assert (depth > 0).all() and np.array_equal(depth[keep], raw[keep])
+    assert f"96 x 64, {depth.min():.3f}" in capsys.readouterr().out
+
+
+def test_complete_writes_cloud_and_picture(frame, weights, tmp_path):
+    ply, panel = tmp_path / "c.ply", tmp_path / "c_panel.png"
+    extra = {"ply": ply, "panel": panel, "intrinsics": frame / "K.txt", "seed": 3}
+    assert main([*arguments(frame, weights, tmp_path / "c.npy", **extra), "--adjust"]) == 0
+    assert f"element vertex {SHAPE[0] * SHAPE[1]}".encode() in ply.read_bytes()[:400]
+    assert cv2.imread(str(panel)).ndim == 3
+    assert not np.array_equal(np.load(tmp_path / "c.npy") == np.float32(0.6), files.read_depth(frame / "b.png") > 0)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["c.npy", "c.ply", "c_panel.png", "in"]
+
+
+def grey(folder):
+    cv2.imwrite(str(folder / "a.png"), np.full(SHAPE, 90, np.uint8))
+
+
+def rgba(folder):
+    cv2.imwrite(str(folder / "a.png"), np.full((*SHAPE, 4), 90, np.uint8))
+
+
+def other_size(folder):
+    cv2.imwrite(str(folder / "b.png"), np.full((32, 48), 600, np.uint16))
+
+
+def eight_bits(folder):
+    cv2.imwrite(str(folder / "b.png"), np.full(SHAPE, 60, np.uint8))
+
+
+def all_missing(folder):
+    cv2.imwrite(str(folder / "b.png"), np.zeros(SHAPE, np.uint16))
+
+
+def nothing_finite(folder):
+    depth = np.full(SHAPE, np.nan, np.float32)
+    depth[::2], depth[::3] = np.inf, -1
+    np.save(folder / "b.npy", depth)
+
+
+def cut_short(folder):
+    (folder / "b.png").write_bytes((folder / "b.png").read_bytes()[:50])
+
+
+def region_of_another_size(folder):
+    cv2.imwrite(str(folder / "m.png"), np.full((32, 48), 255, np.uint8))
+
+
+def grey_region(folder):
+    cv2.imwrite(str(folder / "m.png"), np.full(SHAPE, 50, np.uint8))
+
+
+def keep(folder):
+    pass
+
+
+@pytest.mark.parametrize(
+    ("spoil", "changes", "reason"),
+    [
+        (keep, {"rgb": "no.png"}, "no file .*no.png"),
+        (keep, {"depth": "no.npy"}, "no file .*no.npy"),
+        (keep, {"region": "no.png"}, "no file .*no.png"),
+        (keep, {"weights": "nowhere"}, "no weights in .*nowhere"),
+        (keep, {"depth": "a.png"}, "should hold one depth channel"),
+        (keep, {"ply": "c.ply"}, "--ply needs the camera"),
+        (keep, {"out": "c.tif"}, "cannot write .*c.tif: expected a name ending in .png, .npy, .exr"),
+        (keep, {"out": "in/a.png/c.png"}, "cannot write .*is a file, not a folder"),
+        (keep, {"panel": "c.jpg"}, "cannot write .*c.jpg"),
+        (keep, {"steps": 0}, "steps: expected 1 to 1000"),
+        (keep, {"samples": 0}, "samples: expected at least 1"),
+        (keep, {"steps": "many"}, "invalid int value: 'many'"),
+        (keep, {"depth_scale": -1}, "depth_scale should be metres per unit"),
+        (keep, {"out": None}, "arguments are required: --out"),
+        (grey, {}, "a.png is a grey picture"),
+        (rgba, {}, "a.png has four channels"),
+        (other_size, {}, r"b.png is \(32, 48\), .*a.png \(64, 96\)"),
+        (eight_bits, {}, "b.png has 8 bits a pixel"),
+        (all_missing, {}, "b.png holds no valid depth"),
+        (nothing_finite, {"depth": "b.npy"}, "b.npy holds no valid depth"),
+        (cut_short, {}, "cannot read .*b.png"),
+        (region_of_another_size, {"region": "m.png"}, r"m.png is \(32, 48\)"),
+        (grey_region, {"region": "m.png"}, "m.png should be a mask"),
+    ],
+)
+def test_bad_input_is_named_and_nothing_is_written(spoil, changes, reason, frame, weights, tmp_path, capsys):
+    spoil(frame)
+    places = {"rgb": frame, "depth": frame, "region": frame, "weights": tmp_path}
+    paths = {"rgb", "depth", "region", "weights", "out", "ply", "panel"}
+    changes = {k: places.get(k, tmp_path) / v if k in paths and v else v for k, v in changes.items()}
+    before = sorted(tmp_path.rglob("*"))
+    message = refused(arguments(frame, **{"weights": weights, "out": tmp_path / "c.png"} | changes), capsys)
+    assert re.search(reason, message), message
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_odd_readings_count_as_missing(frame, weights, tmp_path):
+    depth = np.full(SHAPE, 0.6, np.float32)
+    depth[:5], depth[5:10], depth[10:15], depth[15:20] = np.nan, np.inf, -np.inf, -0.4
+    np.save(frame / "b.npy", depth)
+    assert main(arguments(frame, weights, tmp_path / "c.npy", depth=frame / "b.npy", region=frame / "m.png")) == 0
+    out = np.load(tmp_path / "c.npy")
+    assert np.isfinite(out).all() and (out > 0).all() and (out[40:] == np.float32(0.6)).all()
+
+
+@pytest.mark.parametrize("name", ["optical.safetensors", "card.json"])
+def test_damaged_weights_are_refused(name, frame, weights, tmp_path, capsys):
+    copy = tmp_path / "copy"
+    shutil.copytree(weights, copy)
+    content = bytearray((copy / name).read_bytes())
+    for k in range(len(content) // 2, len(content) // 2 + 16):
+        content[k] ^= 0xFF
+    (copy / name).write_bytes(content)
+    message = refused(arguments(frame, copy, tmp_path / "c.png"), capsys)
+    assert name in message and ("damaged" in message or "checksum" in message)
+    assert not (tmp_path / "c.png").exists()
+
+
+def test_weights_that_do_not_fit_their_card_are_refused(frame, weights, tmp_path, capsys):
+    copy = tmp_path / "copy"
+    shutil.copytree(weights, copy)
+    card = json.loads((copy / "card.json").read_text())
+    card["config"]["unet"]["width"] = 16
+    (copy / "card.json").write_text(json.dumps(card))
+    assert "optical weights do not fit" in refused(arguments(frame, copy, tmp_path / "c.png"), capsys)
+    (copy / "card.json").write_text("[]")
+    assert "lacks config or parts" in refused(arguments(frame, copy, tmp_path / "c.png"), capsys)
+
+
+def test_evaluate_prints_tables_and_writes_json(scenes, weights, tmp_path, capsys):
+    argv = ["evaluate", "--root", str(scenes), "--limit", "2", "--steps", "1", "--samples", "1"]
+    argv += ["--weights", str(weights), "--json", str(tmp_path / "new" / "e.json")]
+    assert main(argv) == 0
+    printed = capsys.readouterr().out
+    assert "test split, region found by stage one" in printed and "keep_and_fill_debiased" in printed
+    values = json.loads((tmp_path / "new" / "e.json").read_text())
+    assert values["command"] == "python -m ditr_lite " + " ".join(argv)
+    assert values["weights_sha256"]["detail"] == store.sha256(weights / "detail.safetensors")
+    assert list(values["rmse_m"]) == ["test_00000", "test_00001"] and values["summary"]["kept"]
+
+
+def test_bench_adds_a_readers_method_and_what_everything_costs(scenes, weights, tmp_path, capsys, monkeypatch):
+    speed = {"part": "optical", "batch": 8, "steps_per_s": 1.0, "frames_per_s": 8.0}
+    monkeypatch.setattr(yardstick, "throughput", lambda ditr: speed)
+    monkeypatch.setattr(yardstick, "compare_unets", lambda ditr, runs: dict.fromkeys(["ours"], UNET))
+    monkeypatch.setattr(memory, "stage_peaks", lambda *_: defaultdict(lambda: 1.0))
+    (tmp_path / "half.py").write_text("def half_a_metre(rgb, depth, region):\n    return 0 * depth + 0.5\n")
+    monkeypatch.chdir(tmp_path)
+    argv = ["bench", "--root", str(scenes), "--limit", "1", "--steps", "1", "--samples", "1", "--runs", "5"]
+    argv += ["--method", "half:half_a_metre", "--weights", str(weights), "--given-region", "--json", "b.json"]
+    assert main(argv) == 0
+    printed = capsys.readouterr().out
+    assert "stage two: geometric branch" in printed and "half_a_metre" in printed and "1280 x 720" in printed
+    written = json.loads((tmp_path / "b.json").read_text())
+    assert [frame["stages"][-1]["stage"] for frame in written["cost"]["frames"]] == ["whole", "whole"]
+    assert written["cost"]["frames"][1]["size"] == [720, 1280]
+    assert written["cost"]["frames"][0]["stages"][0]["gflops"] > 0 and written["cost"]["training"] == speed
+    assert "half_a_metre" in written["summary"]["differences"]
+
+
+UNET = {"parameters": 1000, "gflops": 1.0, "ms": 2.0, "ms_per_gflop": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("argv", "reason"),
+    [
+        ([], "required: COMMAND"),
+        (["fly"], "invalid choice: 'fly'"),
+        (["evaluate", "--split", "west"], "unknown split 'west'"),
+        (["evaluate", "--limit", "0"], "--limit should be at least 1"),
+        (["evaluate", "--dataset", "todd"], "--dataset todd needs --root"),
+        (["evaluate", "--dataset", "todd", "--root", "nowhere"], "no TODD frames in nowhere"),
+        (["evaluate", "--dataset", "nyu", "--root", "."], "invalid choice: 'nyu'"),
+        (["evaluate", "--json", "e.txt"], "cannot write e.txt: expected a name ending in .json"),
+        (["simulate", "--count", "3"], "--count needs --split"),
+        (["simulate", "--sensor", "d435"], "--sensor needs --split"),
+        (["simulate", "--split", "test"], "--split needs --count"),
+        (["simulate", "--split", "test", "--count", "0"], "a count >= 1"),
+        (["train", "--part", "wheel"], "unknown part 'wheel'"),
+        (["train", "--preset", "vast"], "unknown preset 'vast'"),
+        (["train", "--set", "unet.width"], "--set expects key=value"),
+        (["train", "--set", "unet.depth=3"], "unknown setting 'unet.depth'"),
+        (["train", "--set", "unet.heads=0"], "unet: expected at least 1, got heads 0"),
+        (["train", "--data", str(data.SAMPLES / "val"), "--steps", "-5"], "expected at least 1 step"),
+        (
+            ["train", "--data", "nowhere"],
+            "no scenes in nowhere: make them with `python -m ditr_lite simulate --split train --count 1500 "
+            "--out outputs/scenes --workers 2`",
+        ),
+    ],
+)
+def test_bad_command_lines_are_named(argv, reason, capsys):
+    assert reason in refused(argv, capsys)
+
+
+def test_a_dataset_without_truth_is_refused(tmp_path, weights, capsys):
+    for folder, suffix, array in (
+        ("rgb", ".jpg", np.full((*SHAPE, 3), 90, np.uint8)),
+        ("depth", ".png", np.full(SHAPE, 600, np.uint16)),
+        ("mask", ".png", np.zeros((*SHAPE, 3), np.uint8)),
+    ):
+        (tmp_path / folder).mkdir()
+        cv2.imwrite(str(tmp_path / folder / f"0{suffix}"), array)
+    argv = ["evaluate", "--dataset", "trosd", "--root", str(tmp_path), "--weights", str(weights)]
+    assert "trosd in" in (message := refused(argv, capsys)) and "no ground-truth depth" in message
+
+
+def test_simulate_calls(monkeypatch, tmp_path, capsys):
+    calls = []
+
+    def fake(*call):
+        calls.append(call)
+        return [Path("first"), Path("last")]
+
+    monkeypatch.setattr("ditr_lite.simulator.simulate.simulate_many", fake)
+    assert main(["simulate", "--workers", "2"]) == 0
+    assert calls == [
+        (data.SAMPLES, s, n, 0, 2, i, None) for s, n, i in (("test", 128, 4), ("val", 48, 2), ("train", 24, 2))
+    ]
+    calls.clear()
+    argv = ["simulate", "--split", "val", "--count", "5", "--first-seed", "9", "--infrared", "1", "--workers", "3"]
+    assert main([*argv, "--out", str(tmp_path)]) == 0
+    assert calls == [(tmp_path, "val", 5, 9, 3, 1, None)]
+    calls.clear()
+    assert main(["simulate", "--sensor", "l515", "--split", "test", "--count", "1", "--workers", "1"]) == 0
+    assert calls == [(Path("outputs/sensors/l515"), "test", 1, 0, 1, 0, "l515")]
+
+
+def test_train_all_goes_through_the_parts_and_makes_usable_weights(scenes, tmp_path, frame, capsys):
+    out, work = tmp_path / "weights", tmp_path / "work"
+    argv = ["train", "--preset", "tiny", "--data", str(scenes / "val"), "--val", str(scenes / "test"), "--limit", "2"]
+    argv += ["--steps", "1", "--batch", "2", "--lr", "1e-3", "--out", str(out), "--work", str(work)]
+    assert main(argv) == 0
+    assert set(json.loads((out / "card.json").read_text())["parts"]) == set(recipes.RECIPES)
+    assert main(arguments(frame, out, tmp_path / "c.png")) == 0
+    capsys.readouterr()
+    # other sizes must not be mixed into the same folder
+    assert "another unet setting" in refused([*argv, "--part", "optical", "--set", "unet.heads=1"], capsys)
+    again = [*argv, "--part", "region", "--set", "region.width=16", "--out", str(tmp_path / "other")]
+    assert "region.checkpoint.safetensors belongs to another run, of other settings" in refused(again, capsys)
+
+
+def test_a_changed_tiny_system_is_compared_with_the_default(scenes, tmp_path, frame, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    argv = ["train", "--preset", "tiny", "--set", "unet.heads=1", "--val", str(scenes / "val"), "--limit", "2"]
+    argv += ["--steps", "1", "--batch", "2", "--lr", "1e-3", "--seed", "3"]
+    assert main(argv) == 0
+    printed = capsys.readouterr().out
+    assert "2 scenes to train on, seed 3; trained again: optical, geometric, detail" in printed
+    assert "unet.heads=1" in printed and "[95 % interval], paired over frames" in printed
+    assert {p.name for p in tmp_path.iterdir()} == {"outputs", frame.name}
+    card = json.loads(Path("outputs/weights/tiny/unet.heads=1/card.json").read_text())
+    assert card["config"]["unet"]["heads"] == 1 and card["parts"]["optical"]["recipe"]["batch"] == 2
+    assert main(arguments(frame, tmp_path / "outputs/weights/tiny/unet.heads=1", tmp_path / "c.png")) == 0
+    assert "nothing is changed" in refused([*argv, "--set", "unet.heads=2"], capsys)
+    assert "leave --start out" in refused([*argv, "--start", "outputs/weights"], capsys)
+
+
+def test_only_plain_lite_writes_into_the_shipped_weights(scenes, monkeypatch, capsys):
+    calls, commands = [], []
+
+    def fake(part, config, data, val, out, work, recipe, limit, seed, boundary, start, command):
+        calls.append((out, work, recipe.steps))
+        commands.append(command)
+        return {"steps": 0, "seconds": 0, "curve": []}
+
+    monkeypatch.setattr("ditr_lite.training.parts.train", fake)
+    argv = ["train", "--part", "region", "--data", str(scenes / "val"), "--val", str(scenes / "val"), "--steps", "7"]
+    for extra in ([], ["--preset", "tiny"], ["--set", "unet.width=64"]):
+        assert main([*argv, *extra]) == 0
+    assert calls[0] == (store.WEIGHTS, Path("outputs/training"), 7)
+    assert {str(out) for out, _, _ in calls[1:]} == {"outputs/weights/tiny", "outputs/weights/lite-unet.width=64"}
+    assert len({work for _, work, _ in calls}) == 3
+    assert commands[2] == shlex.join(["python", "-m", "ditr_lite", *argv, "--set", "unet.width=64"])
+
+
+def test_a_comparison_does_not_replace_the_shipped_system(tmp_path, capsys):
+    shutil.copy(store.WEIGHTS / "card.json", tmp_path)  # a copy, lest the test itself do the damage
+    argv = ["train", "--preset", "tiny", "--set", "unet.width=16", "--out", str(tmp_path)]
+    assert "holds weights of another region, autoencoder, unet, detail, size setting" in refused(argv, capsys)
+    assert store.read_card(tmp_path) == store.read_card()
+
+
+def test_scenes_to_validate_on_are_the_shipped_ones_wherever_it_is_called_from(scenes, tmp_path, monkeypatch):
+    seen = []
+
+    def fake(*args):
+        seen.append(args[3] if args[0] == "region" else args[1])
+        raise ValueError("far enough")
+
+    monkeypatch.setattr("ditr_lite.training.parts.train", fake)
+    monkeypatch.setattr("ditr_lite.training.boundary.train_boundary", fake)
+    monkeypatch.chdir(tmp_path)
+    for command in (["train", "--part", "region"], ["train-boundary"]):
+        assert main([*command, "--data", str(scenes / "val")]) == 2
+    assert seen == [data.SAMPLES / "val"] * 2
+
+
+def test_json_is_written_whole_or_not_at_all(tmp_path):
+    with pytest.raises(ValueError):
+        files.write_json(tmp_path / "x.json", {"value": float("nan")})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_datasets_offered_are_those_that_can_be_read():
+    from ditr_lite import datasets
+
+    assert set(DATASETS) == set(datasets.REGISTRY)
+
+
+COMMANDS = ["complete", "evaluate", "simulate", "train", "bench", "train-boundary", "bench-boundary", "floor"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(command, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([command, "--help"])
+    assert stop.value.code == 0 and "usage: python -m ditr_lite" in capsys.readouterr().out
+
+
+def test_help_imports_nothing_heavy():
+    code = "import sys; from ditr_lite.cli import parser; parser(); assert 'numpy' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_process_ends_with_code_2_and_one_line(tmp_path):
+    argv = [sys.executable, "-m", "ditr_lite", "complete", "--rgb", "no.png", "--depth", "no.png", "--out", "c.png"]
+    done = subprocess.run(argv, cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "ditr_lite: error: no file no.png\n"
+
+
+@needs_real
+def test_a_real_frame_of_a_flat_folder(weights, tmp_path, capsys):
+    folder = REAL / "lingbot" / "2"
+    argv = arguments(folder, weights, tmp_path / "c.exr", rgb=folder / "rgb.png", depth=folder / "raw_depth.png")
+    assert main([*argv, "--ply", str(tmp_path / "c.ply"), "--intrinsics", str(folder / "intrinsics.txt")]) == 0
+    assert (
+        files.read_depth(tmp_path / "c.exr").shape == (480, 640) and (tmp_path / "c.ply").stat().st_size > 15 * 300_000
+    )

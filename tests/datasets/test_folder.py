@@ -1,0 +1,39 @@
+"""A folder of one's own, made of real frames where there are any beside the repository."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ditr_lite import datasets, files, pipeline
+from ditr_lite.config import preset
+from ditr_lite.viz import clouds
+
+REAL = Path(__file__).resolve().parents[3] / "shared" / "real"
+needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="no real frames beside the repository")
+
+
+def test_the_expected_layout_is_named_and_splits_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"no Folder frames in .*: expected rgb/NAME"):
+        datasets.Folder(tmp_path)
+    with pytest.raises(ValueError, match="unknown split 'test' of Folder; choose None"):
+        datasets.Folder(tmp_path, "test")
+
+
+@needs_real
+def test_real_frames_go_from_two_files_to_a_cloud(tmp_path):
+    for key, ending in (("2", "png"), ("6", "jpg")):
+        for source, target in ((f"rgb.{ending}", f"rgb/{key}.{ending}"), ("raw_depth.png", f"depth/{key}.png")):
+            (tmp_path / target).parent.mkdir(exist_ok=True)
+            shutil.copy(REAL / "lingbot" / key / source, tmp_path / target)
+    shutil.copy(REAL / "lingbot" / "2" / "intrinsics.txt", tmp_path / "intrinsics.txt")
+    config = preset("tiny")
+    ditr = pipeline.Ditr(pipeline.build(config), config)
+    for sample in datasets.Folder(tmp_path):
+        out = ditr(sample.rgb, sample.depth)
+        kept = (sample.depth > 0) & ~out.region
+        assert np.isfinite(out.depth).all() and (out.depth > 0).all()
+        assert np.array_equal(out.depth[kept], sample.depth[kept])
+        assert files.write_ply(tmp_path / "c.ply", out.depth, sample.rgb, sample.camera) == out.depth.size
+        assert len(clouds.points_of(out.depth, sample.rgb, sample.camera, 1000)[0]) > 500

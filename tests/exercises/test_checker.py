@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+
+from ditr_lite.exercises.checker import check, verdict
+
+
+def double(x):
+    return 2 * x
+
+
+INPUTS = [(np.arange(6.0).reshape(2, 3),)]
+
+
+def run(capsys, attempt, reference=double, inputs=INPUTS, **settings):
+    passed = check("doubling", attempt, reference, inputs, **settings)
+    out = capsys.readouterr().out
+    assert out.startswith("✓ doubling" if passed else "✗ doubling: ") and out.count("\n") == 1
+    return passed, out
+
+
+def test_the_reference_passes(capsys):
+    assert run(capsys, lambda x: x + x) == (True, "✓ doubling\n")
+
+
+@pytest.mark.parametrize(
+    ("attempt", "message"),
+    [
+        (lambda x: None, "is a `return` missing"),
+        (lambda x: (2 * x).T, r"should have shape (2, 3), got (3, 2)"),
+        (lambda x: 2 * x + (x == 4), "1 of 6 values differ; at (1, 1) expected 8.0, got 9.0"),
+        (lambda x: 2 * x > 3, "should be float64, got bool"),
+        (lambda x: np.array([["a"] * 3] * 2), "should be numbers"),
+        (lambda x: x / 0, "6 of 6 values differ"),  # and no warning
+        (lambda x: np.multiply(x, 2, out=x), "changes its input"),
+        (lambda: 1, "TypeError"),
+        (lambda x: x[9], "stopped with IndexError"),
+        (3, "TypeError"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_what_is_wrong_is_said_and_nothing_raised(capsys, attempt, message):
+    passed, out = run(capsys, attempt)
+    assert not passed and message in out
+
+
+def test_an_exercise_left_alone(capsys):
+    def attempt(x):
+        raise NotImplementedError
+
+    assert run(capsys, attempt) == (False, "✗ doubling: not attempted yet\n")
+
+
+def test_a_known_mistake_is_named(capsys):
+    mistakes = {
+        "cannot be made here": lambda x: x[99],
+        "that squares": lambda x: x**2,
+        "that adds two": lambda x: x + 2,
+    }
+    assert "that adds two" in run(capsys, lambda x: 2 + x, mistakes=mistakes)[1]
+    assert "values differ" in run(capsys, lambda x: 3 * x, mistakes=mistakes)[1]
+    # a mistake must explain every case, or it is not the one
+    inputs = [(np.array([2.0, 0.0]),), (np.array([3.0]),)]
+    assert "values differ" in run(capsys, lambda x: x**2 + (x == 3), mistakes=mistakes, inputs=inputs)[1]
+
+
+def test_bit_for_bit(capsys):
+    x = np.array([0.1, 0.7], np.float32)
+
+    def almost(x):
+        return np.nextafter(2 * x, np.float32(9))
+
+    assert run(capsys, almost, inputs=[(x,)])[0]
+    assert not run(capsys, almost, inputs=[(x,)], rtol=0)[0]
+    assert "should be float32, got float64" in run(capsys, lambda x: 2.0 * x.astype(float), inputs=[(x,)], rtol=0)[1]
+
+
+def test_verdict_of_a_free_check(capsys):
+    assert verdict("a", lambda: None) and not verdict("b", lambda: "too small")
+    assert capsys.readouterr().out == "✓ a\n✗ b: too small\n"

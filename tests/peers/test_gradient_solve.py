@@ -1,0 +1,45 @@
+import numpy as np
+import pytest
+
+from ditr_lite.peers.gradient_solve import log_gradients, solve
+
+
+@pytest.fixture
+def plane():
+    """A slanted table, (24, 32) metres: its inverse depth is linear on the image."""
+    v, u = np.indices((24, 32))
+    return 1 / (1.5 - 0.01 * v + 0.004 * u)
+
+
+def test_gradients_are_differences_of_log_depth(plane):
+    gx, gy = log_gradients(plane)
+    assert np.allclose(gx[:, :-1], np.log(plane[:, 1:] / plane[:, :-1])) and not gx[:, -1].any()
+    assert np.allclose(gy[:-1], np.log(plane[1:] / plane[:-1])) and not gy[-1].any()
+
+
+def test_a_slanted_plane_comes_back_from_its_orientation_and_a_few_readings(plane):
+    readings = np.zeros_like(plane)
+    readings[:4, :4] = plane[:4, :4]
+    solved = solve(readings, log_gradients(plane), np.zeros_like(plane))
+    assert solved.shape == plane.shape and solved.dtype == np.float32
+    assert np.abs(solved - plane)[1:-1, 1:-1].max() < 0.004
+    flat = solve(readings, np.zeros((2, 24, 32)), np.zeros_like(plane))  # without orientation it stays level
+    assert np.abs(flat - plane).max() > 0.05
+
+
+def test_depth_does_not_run_over_an_edge():
+    readings, edges = np.zeros((16, 32)), np.zeros((16, 32))
+    readings[:, :2], readings[:, -2:] = 0.5, 1.0
+    edges[:, 15:17] = 1
+    smooth, cut = (solve(readings, np.zeros((2, 16, 32)), e) for e in (np.zeros_like(edges), edges))
+    assert np.abs(cut[:, 4:12] - 0.5).max() < np.abs(smooth[:, 4:12] - 0.5).max() / 2
+
+
+def test_a_single_reading_is_enough_and_none_is_refused():
+    readings = np.zeros((8, 8))
+    with pytest.raises(ValueError, match="no reading to solve from"):
+        solve(readings, np.zeros((2, 8, 8)), readings)
+    readings[3, 4] = 0.7
+    assert np.allclose(solve(readings, np.zeros((2, 8, 8)), np.zeros((8, 8))), 0.7, atol=1e-5)
+    with pytest.raises(ValueError, match="expected gradients"):
+        solve(readings, np.zeros((2, 4, 8)), np.zeros((8, 8)))

@@ -1,0 +1,136 @@
+"""No condition crashes or gives a value that is not finite; each changes what it says and nothing else."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ditr_lite import pipeline, store
+from ditr_lite.config import preset
+from ditr_lite.data import list_samples, load_sample
+from ditr_lite.studies import robustness
+from ditr_lite.studies.robustness import CONDITIONS
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULT = store.WEIGHTS / "results_robustness.json"
+SCENE = load_sample(list_samples("val")[1])
+CASES = [(name, strength) for name, (_, strengths, _, _) in CONDITIONS.items() for strength in strengths]
+
+
+@pytest.fixture(scope="module")
+def tiny():
+    """An untrained system: what it predicts is no matter, that it always predicts is."""
+    config = preset("tiny")
+    return pipeline.Ditr(pipeline.build(config), config)
+
+
+@pytest.mark.parametrize(("name", "strength"), CASES)
+def test_no_condition_crashes_or_gives_what_is_not_finite(name, strength, tiny):
+    frame = CONDITIONS[name][0](SCENE, strength)
+    assert frame.rgb.dtype == np.uint8 and frame.rgb.shape == (*frame.depth.shape, 3)
+    assert frame.depth.dtype == frame.depth_gt.dtype == np.float32 and frame.region.dtype == bool
+    assert np.isfinite(frame.depth).all() and (frame.depth >= 0).all() and (frame.depth > 0).any()
+    out = tiny(frame.rgb, frame.depth)
+    assert out.depth.shape == frame.depth.shape and np.isfinite(out.depth).all() and (out.depth > 0).all()
+    keep = (frame.depth > 0) & ~out.region
+    assert np.array_equal(out.depth[keep], frame.depth[keep])
+
+
+@pytest.mark.parametrize("name", [n for n in CONDITIONS if n not in ("distance", "aspect")])
+def test_the_neutral_strength_changes_nothing(name):
+    frame = CONDITIONS[name][0](SCENE, CONDITIONS[name][2])
+    assert np.array_equal(frame.rgb, SCENE.rgb) and np.allclose(frame.depth, SCENE.depth, atol=1e-4)
+    assert np.array_equal(frame.region, SCENE.region) and CONDITIONS[name][2] in CONDITIONS[name][1]
+
+
+@settings(max_examples=20, deadline=None)
+@given(share=st.floats(0.3, 0.95))
+def test_missing_reaches_its_share_and_moves_no_reading(share):
+    frame = robustness.missing(SCENE, share)
+    already = (SCENE.depth == 0).mean()
+    assert (frame.depth == 0).mean() == pytest.approx(max(share, already), abs=1e-4)
+    kept = frame.depth > 0
+    assert np.array_equal(frame.depth[kept], SCENE.depth[kept])
+
+
+def test_light_goes_by_its_power_and_saturates():
+    halved = robustness.brightness(SCENE, 0.5)
+    bright = SCENE.rgb[SCENE.rgb > 100].astype(float)
+    ratio = halved.rgb[SCENE.rgb > 100] / bright
+    assert np.allclose(ratio, 0.5 ** (1 / 2.2), atol=0.01) and robustness.brightness(SCENE, 100).rgb.max() == 255
+
+
+@pytest.mark.parametrize("metres", [0.3, 1.0, 3.0])
+def test_distance_scales_truth_and_lets_stereo_noise_grow_with_its_square(metres):
+    frame = robustness.distance(SCENE, metres)
+    assert np.median(frame.depth_gt[frame.depth_gt > 0]) == pytest.approx(metres, rel=1e-3)
+    assert np.array_equal(frame.rgb, SCENE.rgb) and np.array_equal(frame.depth == 0, SCENE.depth == 0)
+    scale = metres / np.median(SCENE.depth_gt[SCENE.depth_gt > 0])
+    added = (frame.depth - SCENE.depth * np.float32(scale))[SCENE.depth > 0]
+    if scale <= 1:
+        assert np.abs(added).max() < 1e-6
+    else:
+        expected = robustness.STEREO_NOISE * scale * np.sqrt(scale**2 - 1) * (SCENE.depth[SCENE.depth > 0] ** 2)
+        assert added.std() == pytest.approx(np.sqrt((expected**2).mean()), rel=0.05)
+
+
+def test_noise_and_levels_are_as_strong_as_asked():
+    read = SCENE.depth > 0
+    relative = (robustness.depth_noise(SCENE, 0.02).depth / np.where(read, SCENE.depth, 1) - 1)[read]
+    assert relative.std() == pytest.approx(0.02, rel=0.05)
+    noisy = robustness.colour_noise(SCENE, 15).rgb.astype(int) - SCENE.rgb
+    middle = (SCENE.rgb > 60) & (SCENE.rgb < 190)
+    assert noisy[middle].std() == pytest.approx(15, rel=0.05)
+    coarse = robustness.levels(SCENE, 16).depth
+    assert len(np.unique(coarse[read])) <= 16 and not coarse[~read].any()
+    step = (SCENE.depth[read].max() - SCENE.depth[read].min()) / 15
+    assert np.abs(coarse - SCENE.depth)[read].max() <= step / 2 + 1e-6
+
+
+@pytest.mark.parametrize("zoom", [0.4, 0.6, 2.0])
+def test_object_size_changes_the_share_of_the_region_and_no_depth(zoom):
+    frame = robustness.object_size(SCENE, zoom)
+    assert frame.depth.shape == SCENE.depth.shape
+    assert set(np.unique(frame.depth_gt)) <= set(np.unique(SCENE.depth_gt))
+    if zoom > 1:
+        assert frame.region.mean() > 1.3 * SCENE.region.mean()
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.75, 3.0])
+def test_aspect_cuts_the_picture_only(ratio):
+    frame = robustness.aspect(SCENE, ratio)
+    height, width = frame.depth.shape
+    assert width / height == pytest.approx(ratio, rel=0.02) and height <= 192 and width <= 256
+
+
+def test_run_reports_every_strength_and_repeats_itself(tiny):
+    few = {
+        name: (*CONDITIONS[name][:1], CONDITIONS[name][1][:2], *CONDITIONS[name][2:]) for name in ("missing", "aspect")
+    }
+    first = robustness.run(tiny, [SCENE], few, progress=False)
+    assert first == robustness.run(tiny, [SCENE], few, progress=False)
+    rows = first["missing"]["rows"]
+    assert [row["strength"] for row in rows] == [0.0, 0.3] and all(row["finite"] for row in rows)
+    assert rows[0]["ditr"]["optical"] > 0 and set(rows[0]) == {"strength", "finite", "ditr", "keep_and_fill"}
+
+
+def test_the_committed_file_holds_every_condition_and_nothing_that_is_not_finite():
+    result = json.loads(RESULT.read_text())
+    assert result["command"].startswith("python tools/robustness.py") and len(result["frames"]) >= 3
+    assert set(result["curves"]) == set(CONDITIONS)
+    for name, curve in result["curves"].items():
+        assert [row["strength"] for row in curve["rows"]] == list(CONDITIONS[name][1])
+        for row in curve["rows"]:
+            assert row["finite"] and all(0 < row[m][k] < 5 for m in ("ditr", "keep_and_fill") for k in row[m])
+
+
+def test_the_tool_spreads_its_scenes_over_the_split():
+    spec = importlib.util.spec_from_file_location("robustness_tool", ROOT / "tools" / "robustness.py")
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    names = list_samples("test")
+    assert tool.frames(4) == [names[k] for k in (0, 32, 64, 96)]

@@ -1,0 +1,146 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from ditr_lite import boundary, metrics, pipeline
+from ditr_lite.config import RefineConfig, preset
+from ditr_lite.data import Sample
+from ditr_lite.studies import swaps
+from ditr_lite.studies.swaps import SWAPS, Swap, Swapped
+
+SHAPE = (64, 96)
+
+
+@pytest.fixture(scope="module")
+def tiny():
+    torch.manual_seed(0)
+    ditr = pipeline.Ditr(pipeline.build(preset("tiny")), preset("tiny"))
+    for part in ditr.parts.values():  # last layers start at zero: let every input reach the output
+        for parameter in part.parameters():
+            parameter.add_(0.05 * torch.randn(parameter.shape))
+    return ditr
+
+
+@pytest.fixture(scope="module")
+def frame():
+    rng = np.random.default_rng(0)
+    truth = np.tile(np.linspace(0.5, 0.8, SHAPE[1], dtype=np.float32), (SHAPE[0], 1))
+    region = np.zeros(SHAPE, bool)
+    region[20:44, 30:60] = True
+    depth = truth + np.float32(0.05) * region
+    depth[5:15, 5:30] = 0
+    depth[25:30, 35:50] = 0
+    rgb = rng.integers(0, 255, (*SHAPE, 3), np.uint8)
+    rgb[region] //= 3
+    return Sample("frame", rgb, depth, truth, region, material=region.astype(np.uint8))
+
+
+def complete(ditr, frame, name):
+    return Swapped(ditr, SWAPS[name]).complete(frame, samples=2, seed=3)
+
+
+def test_the_default_swap_is_the_system_bit_for_bit(tiny, frame):
+    want = tiny(frame.rgb, frame.depth, samples=2, seed=3).depth
+    np.testing.assert_array_equal(complete(tiny, frame, "default"), want)
+    given = tiny(frame.rgb, frame.depth, frame.region, samples=2, seed=3).depth
+    np.testing.assert_array_equal(complete(tiny, frame, "true region"), given)
+
+
+def given_to(monkeypatch, ditr, frame, swap):
+    """Return what each branch was given under a swap: branch -> conditioning image (9, H, W)."""
+    seen, original = {}, pipeline.Ditr.denoise
+
+    def denoise(self, branch, image, *rest):
+        seen[branch] = image[0].numpy()
+        return original(self, branch, image, *rest)
+
+    monkeypatch.setattr(pipeline.Ditr, "denoise", denoise)
+    Swapped(ditr, swap).complete(frame, samples=1)
+    return seen
+
+
+def test_guides_go_where_the_swap_sends_them(monkeypatch, tiny, frame):
+    out = tiny(frame.rgb, frame.depth, frame.region, samples=1)
+    maps = (out.boundary_rgb, out.boundary_depth, out.boundary_da)
+    assert not np.array_equal(maps[0], maps[2])
+    for guides in ((boundary.M_DA, boundary.M_RGB), (boundary.M_RGB, boundary.M_DA), (None, boundary.M_D)):
+        seen = given_to(monkeypatch, tiny, frame, Swap("", guides, region="true"))
+        for branch, k in zip(pipeline.BRANCHES, guides, strict=True):
+            np.testing.assert_array_equal(seen[branch][3] > 0, np.zeros(SHAPE, bool) if k is None else maps[k])
+
+
+def test_the_finer_step_keeps_its_guide(monkeypatch, tiny, frame):
+    boundaries = []
+    monkeypatch.setattr(Swapped, "sharpen", lambda self, decoded, *rest: boundaries.append(rest[-1]) or decoded)
+    for name in ("default", "guides swapped", "no guide"):
+        Swapped(tiny, SWAPS[name]).complete(frame, samples=1)
+    assert boundaries[0].any() and all(torch.equal(b, boundaries[0]) for b in boundaries)
+    Swapped(tiny, SWAPS["no detail"]).complete(frame, samples=1)
+    assert len(boundaries) == 3
+
+
+def test_evidence_is_withheld_and_nothing_else(monkeypatch, tiny, frame):
+    with_it = given_to(monkeypatch, tiny, frame, Swap("", region="true"))["optical"]
+    without = given_to(monkeypatch, tiny, frame, Swap("", region="true", evidence=False))["optical"]
+    assert with_it[8].any() and not without[7:].any()
+    np.testing.assert_array_equal(with_it[:7], without[:7])
+
+
+@pytest.mark.parametrize("only", pipeline.BRANCHES)
+def test_one_branch_paints_everything(monkeypatch, tiny, frame, only):
+    seen = given_to(monkeypatch, tiny, frame, Swap("", only=only, detail=False, region="true"))
+    assert list(seen) == [only]
+    out = Swapped(tiny, Swap("", only=only, detail=False, region="true"))(frame.rgb, frame.depth, frame.region)
+    np.testing.assert_array_equal(out.optical, out.geometric)
+
+
+def test_regions_are_what_they_are_called(tiny, frame):
+    empty = complete(tiny, frame, "empty region")
+    np.testing.assert_array_equal(empty[frame.depth > 0], frame.depth[frame.depth > 0])  # nothing is repainted
+    for name, kernels in {"unrefined": RefineConfig(0, 0, 0), "refined 7/5/3": RefineConfig(7, 5, 3)}.items():
+        other = pipeline.Ditr(tiny.parts, replace(tiny.config, refine=kernels))
+        want = other(frame.rgb, frame.depth, samples=2, seed=3).depth
+        np.testing.assert_array_equal(complete(tiny, frame, name), want)
+    with pytest.raises(ValueError, match="no true region"):
+        complete(tiny, replace(frame, region=None), "true region")
+
+
+def test_nothing_of_the_system_itself_is_changed(tiny, frame):
+    before = vars(tiny).copy()
+    swaps.run(tiny, [frame], draws=1, progress=False)
+    assert vars(tiny) == before
+
+
+@pytest.mark.parametrize("wrong", [{"only": "optic"}, {"region": "guessed"}])
+def test_a_swap_that_cannot_be_is_refused(wrong):
+    with pytest.raises(ValueError, match="expected only to be None"):
+        Swap("", **wrong)
+
+
+def scores(*optical):
+    return [{key: {"rmse": r, "mae": r / 2, "rel": r} for key in metrics.SETS} | {"geometric": None} for r in optical]
+
+
+def test_differences_are_paired_and_signed():
+    rows = {"default": scores(0.02, 0.20), "no guide": scores(0.03, 0.21)}
+    rows |= {"true region": scores(0.01, 0.10), "true, no evidence": scores(0.02, 0.11)}
+    report = swaps.summary(rows)
+    assert report["no guide"]["optical"]["minus_m"] == [0.01, 0.01, 0.01]  # the frames differ by far more
+    assert report["true, no evidence"]["whole"]["minus_m"] == [0.01, 0.01, 0.01]
+    assert report["true, no evidence"]["against"] == "true region" and report["default"]["against"] is None
+    assert report["default"]["optical"] == {"rmse_m": [0.11, 0.02, 0.2], "minus_m": None}
+    assert report["no guide"]["geometric"] == {"rmse_m": None, "minus_m": None}
+    text = swaps.format_swaps(report)
+    assert "+10.0 [ +10.0,  +10.0]" in text and "to true region" in text and "110.0" in text
+
+
+def test_the_breakdown_stands_beside_both_readings_of_table_v():
+    full = [{key: {"rmse": 0.02, "mae": 0.01, "rel": 0.03} for key in metrics.SETS}] * 3
+    parts = swaps.breakdown(full)
+    assert parts["optical"] == {"rmse": [0.02] * 3, "mae": [0.01] * 3, "rel": [0.03] * 3}
+    lines = swaps.beside_table_v(parts).splitlines()
+    cells = {(line.split()[0], line.split()[1]): line.split("]")[1].split()[:2] for line in lines[1:]}
+    assert cells["optical", "MAE"] == ["0.033", "0.015"] and cells["geometric", "REL"] == ["0.014", "0.018"]
+    assert cells["whole", "RMSE"] == ["0.019", "0.019"]  # Table I

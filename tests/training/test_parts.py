@@ -1,0 +1,186 @@
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+import ditr_lite as dl
+from ditr_lite.config import Config, override, preset
+from ditr_lite.data import SAMPLES, Sample, read_sample, save_sample
+from ditr_lite.store import load_part, read_card
+from ditr_lite.training import recipes
+from ditr_lite.training.batches import load_scenes
+from ditr_lite.training.loop import Recipe
+from ditr_lite.training.parts import PARTS, check_same_system, folder_name, scene_errors, train, train_on
+
+TINY = preset("tiny")
+RECIPE = Recipe(steps=2, batch=2, lr=1e-3, warmup=1)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Three validation scenes at half their size."""
+    folder = tmp_path_factory.mktemp("data")
+    for name in dl.list_samples("val")[:3]:
+        full = read_sample(SAMPLES / "val" / name)
+        maps = {k: getattr(full, k)[::2, ::2].copy() for k in ("rgb", "depth", "depth_gt", "material")}
+        save_sample(Sample(name, **maps), folder / name)
+    return folder
+
+
+def go(part, data, home, config=TINY, **settings):
+    return train(part, config, data, data, home / "weights", home / "work", RECIPE, **settings)
+
+
+@pytest.fixture(scope="module")
+def trained(data, tmp_path_factory):
+    """Every part after two steps."""
+    home = tmp_path_factory.mktemp("home")
+    return home, {part: go(part, data, home) for part in PARTS}
+
+
+def test_every_part_trains_and_the_card_says_how(trained):
+    home, notes = trained
+    card = read_card(home / "weights")
+    assert tuple(card["parts"]) == PARTS and card["config"]["name"] == "tiny"
+    for part, entry in card["parts"].items():
+        assert entry["steps"] == 2 and entry["scenes"] == 3 and entry["recipe"]["batch"] == 2
+        assert entry["first_scene"] == "val_00000"
+        figures = entry["curve"][-1]
+        assert figures == notes[part]["curve"][-1] and figures["step"] == 2
+        assert all(0 <= v < 10 for k, v in figures.items() if k.startswith("val_"))
+        assert any(k.startswith("val_") for k in figures)
+
+
+def test_what_was_trained_completes_a_frame(trained, data):
+    home, _ = trained
+    sample = read_sample(data / "val_00000")
+    out = dl.Ditr.from_pretrained(path=home / "weights")(sample.rgb, sample.depth, steps=1, samples=1)
+    assert out.depth.shape == sample.depth.shape and (out.depth > 0).all()
+
+
+def test_latents_have_unit_spread_after_training(trained, data):
+    home, _ = trained
+    scale = load_part("autoencoder", home / "weights")["latent_scale"]
+    assert scale.numel() >= 1 and not torch.equal(scale, torch.ones_like(scale))
+
+
+def test_same_seed_trains_the_same_bytes(trained, data, tmp_path):
+    home, notes = trained
+    go("region", data, tmp_path)
+    files = [folder / "weights" / "region.safetensors" for folder in (home, tmp_path)]
+    assert files[0].read_bytes() == files[1].read_bytes()
+    go("region", data, tmp_path / "other", seed=1)
+    assert files[0].read_bytes() != (tmp_path / "other" / "weights" / "region.safetensors").read_bytes()
+
+
+def test_limit_takes_the_first_scenes(data, tmp_path):
+    notes = go("region", data, tmp_path, limit=2)
+    assert notes["scenes"] == 2 and notes["last_scene"] == "val_00001"
+
+
+def test_training_goes_on_from_given_weights(trained, data, tmp_path):
+    home, notes = trained
+    still = Recipe(steps=1, batch=2, lr=0.0)
+    entry = train("region", TINY, data, data, tmp_path / "out", tmp_path, still, start=home / "weights")
+    assert entry["start_sha256"] == read_card(home / "weights")["parts"]["region"]["sha256"]
+    then, now = (load_part("region", folder) for folder in (home / "weights", tmp_path / "out"))
+    learnt = [k for k in then if "running" not in k and "num_batches" not in k]
+    assert all(torch.equal(then[k], now[k]) for k in learnt)
+    assert set(read_card(tmp_path / "out")["parts"]) == set(PARTS)  # the others came along
+    sample = read_sample(data / "val_00000")
+    assert dl.Ditr.from_pretrained(path=tmp_path / "out")(sample.rgb, sample.depth, samples=1).depth.all()
+    with pytest.raises(ValueError, match="another region setting"):
+        go("region", data, tmp_path, override(TINY, **{"region.width": 16}), start=home / "weights")
+
+
+def test_a_checkpoint_counts_only_for_what_it_was_trained_from(trained, data, tmp_path):
+    start = {"start": trained[0] / "weights"}
+    go("region", data, tmp_path, **start)
+    go("region", data, tmp_path, **start)  # the very same: nothing is left to do
+    for other in ({}, {**start, "seed": 1}, {**start, "limit": 2}):
+        with pytest.raises(ValueError, match="region.checkpoint.safetensors belongs to another run"):
+            go("region", data, tmp_path, **other)
+    go("region", data, tmp_path / "fresh", seed=1)
+    with pytest.raises(ValueError, match="belongs to another run"):  # the start has the same name, but other weights
+        go("region", data, tmp_path, start=tmp_path / "fresh" / "weights")
+
+
+def test_a_branch_does_not_go_on_after_another_autoencoder(trained, data, tmp_path):
+    go("autoencoder", data, tmp_path)
+    go("optical", data, tmp_path)
+    shutil.rmtree(tmp_path / "weights")
+    go("autoencoder", data, tmp_path / "other", seed=1)
+    (tmp_path / "other" / "weights").rename(tmp_path / "weights")
+    with pytest.raises(ValueError, match="optical.checkpoint.safetensors belongs to another run"):
+        go("optical", data, tmp_path)
+
+
+def test_settings_name_a_folder():
+    assert folder_name({"unet.width": 48, "size": "96, 128"}) == "unet.width=48,size=96,128"
+    assert folder_name({"schedule.name": "a/b"}) == "schedule.name=a-b"
+
+
+def test_one_folder_holds_one_system(trained, data):
+    home = trained[0]
+    changes = [{"size": "32,64"}, {"evidence": False}, {"sampler.prediction": "v", "unet.anchor": False}]
+    for change in [*changes, {"detail.width": 16}]:
+        before = (home / "weights" / "card.json").read_bytes()
+        with pytest.raises(
+            ValueError, match=f"weights holds weights of another .*{next(iter(change)).split('.')[0]}.* setting"
+        ):
+            go("region", data, home, override(TINY, **change))
+        assert (home / "weights" / "card.json").read_bytes() == before
+    scenes = load_scenes(data)
+    with pytest.raises(ValueError, match="another size setting"):
+        train_on("region", override(TINY, size="32,64"), scenes, None, home / "weights", home, RECIPE)
+    check_same_system(override(TINY, **{"sampler.samples": 9, "refine.median": 3}), home / "weights")  # not in weights
+
+
+def test_the_card_has_the_command_that_it_is_given(trained, data, tmp_path):
+    assert read_card(trained[0] / "weights")["parts"]["region"]["command"] is None
+    go("region", data, tmp_path, command="python -m ditr_lite train")
+    assert read_card(tmp_path / "weights")["parts"]["region"]["command"] == "python -m ditr_lite train"
+
+
+def test_what_cannot_be_trained_is_refused(trained, data, tmp_path):
+    home, _ = trained
+    with pytest.raises(ValueError, match="unknown part 'unet'; choose one of autoencoder"):
+        go("unet", data, tmp_path)
+    with pytest.raises(ValueError, match="no scenes in"):
+        go("region", tmp_path / "nothing", tmp_path)
+    with pytest.raises(ValueError, match="no weights"):  # a branch needs the autoencoder first
+        go("optical", data, tmp_path)
+    with pytest.raises(ValueError, match="holds weights of another unet setting"):
+        go("optical", data, home, override(TINY, **{"unet.width": 16}))
+
+
+class Truth:
+    """An "autoencoder" that decodes to the truth, but for 10 mm inside the region."""
+
+    def __init__(self, scenes):
+        self.batches = recipes.batches(scenes, 8)
+
+    def encode(self, x):
+        return torch.zeros(len(x), 3, 4, 4)
+
+    def decode(self, z):
+        batch = next(self.batches)
+        return batch.gt_n + 0.01 / batch.scale_m * (batch.material > 0)[:, None]
+
+
+class Blank:
+    def features(self, image):
+        return image
+
+    def __call__(self, noise, *given):
+        return noise
+
+
+@pytest.mark.parametrize(("branch", "due"), [("optical", 0.01), ("geometric", 0.0)])
+def test_errors_of_a_branch_are_those_of_its_own_pixels(branch, due):
+    full = load_scenes(SAMPLES / "val", limit=9)  # one more than a batch
+    scenes = replace(full, guides=np.zeros((9, 2, *full.depth.shape[1:]), np.uint8))
+    found = scene_errors(branch, Blank(), Truth(scenes), scenes, Config())
+    np.testing.assert_allclose(found, due, atol=1e-6)

@@ -1,0 +1,226 @@
+"""Where each part of the paper lives: three lines an entry, read by ``paper_map``.
+
+    id | done or left out | notebook | heading or cell id in it (- where there is none)
+    function, as module.name | test, as file::name              (- where there is none)
+    what the paper has there
+
+Tests hold a ``done`` entry to its links; a ``left out`` one has no counterpart here.
+"""
+
+ENTRIES = """
+Eq. 1 | done | 01_depth_loss_anatomy | 7 · The truth about every pixel (Fig. 4), and Eq. 1 and 2
+loss_types.partition | test_loss_types.py::test_partition_is_complete_and_disjoint
+X = X^op ∪ X^geo and D_in = D_in^op ∪ D_in^geo: image and depth fall into an optical and a geometric part
+
+Eq. 2 | done | 01_depth_loss_anatomy | 7 · The truth about every pixel (Fig. 4), and Eq. 1 and 2
+loss_types.Partition | test_loss_types.py::test_partition_is_complete_and_disjoint
+the two parts are disjoint (printed as {φ}; ∅ is meant)
+
+Eq. 3 | done | 06_full_pipeline | 10 · Compose
+pipeline.Ditr | test_pipeline.py::test_the_result_is_composed_of_what_both_branches_painted
+D_out = DITR(D_in given X): the whole system
+
+Eq. 4 | done | 07_metrics | 1 · Score three pixels by hand
+metrics.rmse | test_metrics.py::test_three_pixels_by_hand
+RMSE (printed over all HW pixels; counted where ground truth is known)
+
+Eq. 5 | done | 07_metrics | 1 · Score three pixels by hand
+metrics.mae | test_metrics.py::test_three_pixels_by_hand
+MAE
+
+Eq. 6 | done | 07_metrics | 1 · Score three pixels by hand
+metrics.rel | test_metrics.py::test_three_pixels_by_hand
+REL
+
+Eq. 7 | done | 04_ddpm_math | Eq. 7 as printed, then as it must be
+diffusion.q_sample | test_diffusion.py::test_eq7_holds_at_the_end_and_only_there
+p(L_t given L_0) = N(0, I), which holds only in the limit
+
+Eq. 8 | done | 04_ddpm_math | 5 · Train the prediction (Eq. 8) where the best answer is known
+diffusion.loss | test_diffusion.py::test_eps_loss_is_eq8
+the objective, E ‖ε − ε_θ(L_t, t, F(x))‖²
+
+Eq. 9 | done | 04_ddpm_math | Eq. 9 as printed, then as it must be
+diffusion.eps_from_x0 | test_diffusion.py::test_eq9_as_printed_is_not_unit_noise
+ε_θ = L_t − α_t x_θ, which lacks a division
+
+I1 | done | 04_ddpm_math | 3 · Take one step back: the posterior
+diffusion.ddpm_step | test_diffusion.py::test_posterior_is_bayes_rule
+one step back, p_θ(D_{t−1} given D_t) = N(μ_θ, Σ_θ)
+
+I2 | done | 07_metrics | Which δ did the tables use?
+metrics.delta | test_metrics.py::test_delta_is_strict_and_symmetric
+δ_{1+n%}, the share of pixels within n %
+
+I3 | done | 03_vq_autoencoder | 1 · From one convolution to Enc and Dec
+autoencoder.VQAutoencoder | test_autoencoder.py::test_shapes_and_latents_before_quantisation
+L = Enc(D_in), D_out = Dec(L)
+
+I4 | done | 05_boundary_maps | 2 · Read the formula: it is an intersection
+boundary.depth_aware | boundary/test_maps.py::test_the_printed_formula_is_an_intersection
+M_DA = M_RGB \\ ∁_U M_D, which is an intersection
+
+S1 | done | 02_region_refinement | 3 · Decode, with a judge at every level
+region.RegionNet | test_region.py::test_outputs_have_the_promised_shapes
+stage one: encoder-decoder over colour and depth, feature fusion, boundary refinement
+
+S2 | done | 02_region_refinement | 7 · Refine: a vote, then a reach
+region.refine_region | test_region.py::test_refinement_agrees_with_the_naive_one
+refinement: median 7 × 7, then dilation 5 × 5 in 3 iterations
+
+S3 | done | 02_region_refinement | 6 · Train it as the paper says
+training.region_training.train_region | training/test_region_training.py::test_constants_are_the_papers
+training of stage one: SGD, batch 16, momentum 0.9, weight decay 1e-4, 200 epochs, a mixed learning rate
+
+S4 | done | 02_region_refinement | 9 · Send the final error back through everything
+training.finetune.finetune_region | training/test_finetune.py::test_the_region_moves_to_where_final_depth_gains
+fine-tuning: stage two frozen, the final RMSE added to the loss, 1e-3, 50 epochs
+
+S5 | done | 03_vq_autoencoder | 5 · Where the quantiser sits, and why diffusion cares
+autoencoder.VQAutoencoder | test_autoencoder.py::test_shapes_and_latents_before_quantisation
+autoencoder: no skip connections, scale 4 by two down- and two up-samplings, quantiser in the decoder
+
+S6 | done | 04_ddpm_math | The learning rate that the paper states
+training.as_the_paper.scaled_rate | training/test_as_the_paper.py::test_a_step_of_training_runs_at_the_papers_widths
+training of stage two: 1,000 diffusion steps, batch 64, learning rate 1e-6
+
+S7 | done | 04_ddpm_math | Level by level
+unet.DenoisingUNet | test_unet.py::test_paper_preset_can_be_counted_without_memory
+U-Net: four levels, 3 × 3 convolutions and ReLU, max-pooling, doubling channels, self- and cross-attention
+
+S8 | done | 05_boundary_maps | 5 · Three backends behind one call
+boundary.boundary_maps | test_pipeline.py::test_each_branch_has_its_own_boundary_map
+two extractors: M_DA guides the optical branch, M_RGB the geometric one
+
+S9 | done | 06_full_pipeline | 10 · Compose
+pipeline.compose | test_completion.py::test_composition_follows_the_rule_pixel_by_pixel
+mask × depth splits to two branches; inside re-estimated, outside filled, the rest kept
+
+T1 | done | 07_metrics | 7 · Audit the paper's tables
+paper.audit.audit_table | paper/test_audit.py::test_the_impossible_rows_of_tables_1_and_2
+results on ClearGrasp
+
+T2 | done | 07_metrics | 7 · Audit the paper's tables
+paper.audit.audit_table | paper/test_audit.py::test_the_impossible_rows_of_tables_1_and_2
+results on TODD
+
+T3 | done | 07_metrics | Which δ did the tables use?
+paper.audit.audit_table | paper/test_audit.py::test_the_worded_delta_is_refuted_by_three_rows_of_table_3
+results on STD
+
+T4 | done | 08_ablations | 2 · Climb the paper's ladder: BB, +DP, +RR
+studies.swaps.run | studies/test_swaps.py::test_regions_are_what_they_are_called
+ablation: backbone, depth partition, region refinement
+
+T5 | done | 07_metrics | 7 · Audit the paper's tables
+paper.audit.rank_orders | paper/test_audit.py::test_six_orders_of_table_5
+error breakdown, geometric and optical
+
+T6 | done | 04_ddpm_math | What the paper's sizes cost
+evaluation.costs.beside_table_vi | evaluation/test_costs.py::test_table_vi_cannot_hold
+latency and GFLOPs at 1280 × 720, per stage
+
+A1 | done | 09_your_own_camera | 10 · Four cameras, one scene
+simulator.cameras.measure | simulator/test_cameras.py::test_shipped_frames_show_the_signatures
+generalisation without ground truth over four cameras
+
+A2 | done | 08_ablations | 8 · Search for failures
+studies.failures.correlations | studies/test_failures.py::test_correlations_are_taken_over_the_frames_in_both
+failure cases: very large and overlapping objects
+
+F1 | done | 01_depth_loss_anatomy | Fig. 1 of the paper, from our frames
+loss_types.label | test_loss_types.py::test_label_names_each_kind_and_uses_both_thresholds
+depth distortion of transparent and reflective objects
+
+F2 | done | 01_depth_loss_anatomy | 5 · Why not from one picture: the ambiguity (Fig. 2)
+camera.unproject | test_camera.py::test_a_scene_twice_as_large_and_as_far_gives_the_same_picture
+ambiguity of depth from one colour image
+
+F3 | done | 01_depth_loss_anatomy | 6 · Parallax: shadows that depth casts (Fig. 3)
+camera.reproject | test_camera.py::test_shadow_has_the_predicted_width
+geometric loss by parallax
+
+F4 | done | 01_depth_loss_anatomy | 7 · The truth about every pixel (Fig. 4), and Eq. 1 and 2
+loss_types.label | test_loss_types.py::test_label_names_each_kind_and_uses_both_thresholds
+composition of depth loss
+
+F5 | done | 06_full_pipeline | Follow one frame through the full pipeline
+pipeline.Ditr | test_pipeline.py::test_stage_one_finds_the_region_and_refines_it
+overview: two stages, two branches
+
+F6 | done | 03_vq_autoencoder | 7 · Look at latents: the paper's figure, remade
+autoencoder.VQAutoencoder | test_autoencoder.py::test_crops_and_whole_images_agree_in_the_interior
+latent representation
+
+F7 | done | 04_ddpm_math | 7 · Depth latents and the shipped denoiser
+diffusion.sample | test_diffusion.py::test_callback_sees_every_step_and_clipping_bounds_every_prediction
+diffusion block
+
+F8 | done | 04_ddpm_math | Level by level
+evaluation.costs.level_costs | evaluation/test_costs.py::test_levels_add_up_to_the_denoiser
+denoising U-Net
+
+F9 | done | 06_full_pipeline | Look at it
+viz.grid | viz/test_grids.py::test_compare_draws_every_prediction_and_its_error
+qualitative results beside other methods (ClearGrasp)
+
+F10 | done | 09_your_own_camera | 9 · The public datasets, without a download
+datasets.TODD | datasets/test_export.py::test_a_round_trip_keeps_all_that_the_format_holds
+qualitative results (TODD); without a download, our frames in its layout
+
+F11 | done | 09_your_own_camera | 9 · The public datasets, without a download
+datasets.STD | datasets/test_export.py::test_a_round_trip_keeps_all_that_the_format_holds
+qualitative results (STD); likewise
+
+F12 | done | 09_your_own_camera | 10 · Four cameras, one scene
+datasets.TROSD | datasets/test_datasets.py::test_every_reader
+generalisation on TROSD; our scenes under four simulated cameras
+
+F13 | done | 08_ablations | The worst ten
+studies.failures.worst | studies/test_failures.py::test_the_worst_come_first
+failure cases
+
+C1 | done | 06_full_pipeline | 11 · Score it beside every baseline
+baselines.keep_and_fill | test_baselines.py::test_keeping_keeps_readings_inside
+DeepCompletion; the idea: trust every reading, solve for the smoothest surface in the holes
+
+C2 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.networks.PixelUNet | peers/test_networks.py::test_colour_alone_looks_at_no_depth
+DenseDepth; the idea: regress depth from colour alone
+
+C3 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.compare.methods | peers/test_compare.py::test_every_method_is_asked_about_every_frame
+SRD; the idea: segment what the sensor gets wrong, then regress (a peer, composed with the region)
+
+C4 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.networks.aligned | peers/test_networks.py::test_alignment_undoes_a_scale_and_a_shift
+MiDaS; the idea: depth from colour up to scale and shift
+
+C5 | done | 04_ddpm_math | Who asks whom?
+unet.CrossAttentionLatentQuery | test_unet.py::test_query_order_changes_the_result
+LDM; the idea: the latent asks, the condition answers
+
+C6 | done | 06_full_pipeline | 11 · Score it beside every baseline
+baselines.harmonic | test_baselines.py::test_readings_inside_the_region_are_not_looked_at
+ClearGrasp; the idea: drop the readings inside the region, solve from what surrounds it
+
+C7 | left out | - | -
+- | -
+LIDF; the idea: an implicit function along each ray
+
+C8 | left out | - | -
+- | -
+TranspareNet; the idea: complete the distorted cloud, then the map
+
+C9 | done | 06_full_pipeline | 11 · Score it beside every baseline
+baselines.keep_and_fill_debiased | test_baselines.py::test_debiased_takes_the_bias_off_inside_only
+DFNet; the idea: correct the readings inside the region instead of dropping them
+
+C10 | left out | - | -
+- | -
+DepthGrasp; the idea: let a critic tell completed depth from real
+
+C11 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.networks.predicted_depth | peers/test_networks.py::test_confidence_decides_between_prediction_and_sensor
+SwinDRNet; the idea: fuse colour and depth by confidence
+"""
