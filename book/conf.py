@@ -73,7 +73,7 @@ def _only_ours(app, what, name, obj, skip: bool, options) -> bool | None:
 
 
 def _roles(app, pagename, templatename, context, doctree) -> None:
-    """Mend what a screen reader is told: levels of the side bar's headings, and names of folds that hide their words."""
+    """Mend what a screen reader is told: levels of headings in the side bar, names of folds that hide their words."""
     tree = context.get("furo_navigation_tree", "")
     context["furo_navigation_tree"] = tree.replace('role="heading"', 'role="heading" aria-level="2"')
     context["body"] = context.get("body", "").replace('<summary aria-label="Toggle hidden content">', "<summary>")

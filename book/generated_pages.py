@@ -11,6 +11,7 @@ import re
 import shutil
 from collections.abc import Iterator
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import nbformat
@@ -129,15 +130,15 @@ def rooms() -> list[str]:
 
 
 def resolve(function: str) -> object:
-    """Return what ``module.name`` or ``module.name.name`` within ditr_lite is.
+    """Return what a dotted name within ditr_lite is: modules first, then what is in them.
 
     Raises:
         AttributeError: where there is no such thing.
     """
-    first, *rest = function.split(".")
-    thing = import_module(f"ditr_lite.{first}")
-    for name in rest:
-        thing = getattr(thing, name)
+    thing = ditr_lite
+    for name in function.split("."):
+        inside = f"{thing.__name__}.{name}" if hasattr(thing, "__path__") else ""  # only packages have modules in them
+        thing = import_module(inside) if inside and find_spec(inside) else getattr(thing, name)
     return thing
 
 
@@ -226,8 +227,8 @@ def _things(names: Iterator[str]) -> dict[str, object]:
     for name in names:
         try:
             thing = resolve(name)
-        except (AttributeError, ImportError):
-            thing = getattr(ditr_lite, name, None)
+        except (AttributeError, ImportError):  # a name that a notebook gave to something of its own
+            continue
         if (inspect.isfunction(thing) or inspect.isclass(thing)) and _in_reference(thing):
             found[_home(thing)] = thing
     return found
