@@ -281,7 +281,7 @@ def third_party_imports(source):
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             roots.add(node.module.split(".")[0])
     beside = {path.stem for folder in ("tests", "tools") for path in (ROOT / folder).glob("*.py")}  # on pytest's path
-    return roots - sys.stdlib_module_names - beside - {"ditr_lite"}
+    return roots - sys.stdlib_module_names - beside - {"ditr_lite", "tasks"}
 
 
 @per_file(PYTHON)
