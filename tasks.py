@@ -186,9 +186,9 @@ def timings(arguments):
 
 
 def book(arguments):
-    """Write all notebooks as web pages, into outputs/book."""
+    """Write all notebooks, a reference and more as a site that needs no network, into outputs/book."""
     install(FULL)
-    python("tools/book.py", *arguments)
+    python("book/build.py", *arguments)
 
 
 def offline_kit(arguments):
