@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from ditr_lite import bench_commands, boundary_commands, commands
+from ditr_lite.data import ROOM_SPLITS, SPLITS
 
 DATASETS = ("cleargrasp", "cleargrasp_synthetic", "todd", "std", "dreds", "trosd", "transcg", "folder")
 PROTOCOLS = ("cleargrasp", "lidf", "transparenet", "dfnet", "swindrnet", "d3roma", "marigold")
@@ -119,7 +120,7 @@ def _floor(p: Parser) -> None:
 
 
 def _simulate(p: Parser) -> None:
-    p.add_argument("--split", choices=("train", "val", "test"), help="only test holds out shapes and materials")
+    p.add_argument("--split", choices=SPLITS + ROOM_SPLITS, help="only test and rooms hold out shapes and materials")
     p.add_argument("--sensor", metavar="NAME", help="d435, d415, l515 or structure instead of a random sensor")
     p.add_argument(
         "--export-as",
