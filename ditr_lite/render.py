@@ -14,6 +14,7 @@ _CV_TO_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])  # our cameras: x right, y down
 _SEGMENTS = 64  # of a full turn
 PROJECTOR_DEG = 80.0  # field of view of the infrared projector
 SLIDE_POWER, SLIDE_AMBIENT = 2.0, 0.03  # of a projector that shows a given picture
+_FIRST = 4  # rays per pixel that tell the denoiser of the first surface
 _BLOCK = 32  # pixels a side that share a stream of random numbers; Mitsuba would choose by the number of threads
 
 
@@ -162,12 +163,13 @@ def render_clean(loaded: Any, camera: Camera, pose: np.ndarray, samples: int, se
         import pyoidn
     except ImportError:
         raise ImportError("room scenes need pyoidn, of an optional extra: pip install -e '.[simulate]'") from None
-    paths = {"type": "volpath", "max_depth": depth, "rr_depth": 6}
-    integrator = mi.load_dict({"type": "aov", "aovs": "a:albedo,n:sh_normal", "paths": paths, "block_size": _BLOCK})
-    image = np.array(mi.render(loaded, sensor=_sensor(camera, pose, samples), integrator=integrator, seed=seed))
-    colour, albedo, normal = (np.ascontiguousarray(image[..., k : k + 3], np.float32) for k in (0, 3, 6))
+    # One after the other: both in one integrator take three times as long.
+    colour = render(loaded, camera, pose, samples, seed, depth)
+    integrator = mi.load_dict({"type": "aov", "aovs": "a:albedo,n:sh_normal", "block_size": _BLOCK})
+    first = np.array(mi.render(loaded, sensor=_sensor(camera, pose, _FIRST), integrator=integrator, seed=seed))
+    albedo, normal = (np.ascontiguousarray(first[..., k : k + 3], np.float32) for k in (0, 3))
     bright = 60 * max(float(np.percentile(colour, 80)), 1e-6)  # single paths that met a lamp
-    return pyoidn.denoise(np.clip(colour, 0, bright), albedo=np.clip(albedo, 0, 1), normal=normal, hdr=True)
+    return pyoidn.denoise(np.clip(colour, 0, bright).astype(np.float32), albedo=np.clip(albedo, 0, 1), normal=normal, hdr=True)
 
 
 def truth(loaded: Any, camera: Camera, pose: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

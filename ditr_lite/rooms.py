@@ -20,9 +20,13 @@ EMPTY = {"landscape": 0.5}  # share of scenes without a transparent or reflectiv
 EMPTY_ELSEWHERE = 0.07
 TRANSPARENT_FAMILIES = (
     *("tumbler", "straight_glass", "shot_glass", "beer_glass", "bottle", "pet_bottle", "pet_bottle", "jar", "vase"),
-    *("bowl", "dish", "flute", "pane", "sphere", "box", "hexagon", "cylinder", "plate"),
+    *("tumbler", "straight_glass", "bottle", "pet_bottle", "flute", "flute", "jar", "bowl", "dish"),
+    *("pane", "sphere", "box", "hexagon", "cylinder", "plate"),
 )
-HELD_OUT_TRANSPARENT = ("wine_glass", "goblet", "flask", "carafe", "star", "flower", "ellipsoid", "pane", "plate")
+HELD_OUT_TRANSPARENT = (
+    *("wine_glass", "goblet", "flask", "carafe", "wine_glass", "goblet", "carafe", "flask"),
+    *("star", "flower", "ellipsoid", "pane", "plate"),
+)
 REFLECTIVE_FAMILIES = ("bowl", "dish", "tumbler", "jar", "sphere", "cylinder", "plate_mirror", "stand_mirror", "tool")
 HELD_OUT_REFLECTIVE = ("goblet", "carafe", "ellipsoid", "cross", "round_mirror", "stand_mirror", "tool")
 ROUND = {"sphere": forms.ball(), "ellipsoid": forms.ball(), "cylinder": forms.rod(), "round_mirror": forms.rod()}
@@ -120,7 +124,7 @@ def _view(rng, held_out: bool) -> View:
         "shelf": rng.uniform(3, 28),
         "landscape": rng.uniform(3, 18),
     }[place]
-    share = np.exp(rng.uniform(np.log(0.2), np.log(0.5)) if close else rng.uniform(np.log(0.05), np.log(0.2)))
+    share = np.exp(rng.uniform(np.log(0.2), np.log(0.5)) if close else rng.uniform(np.log(0.06), np.log(0.25)))
     size = float(np.clip(share * distance, 0.012, 0.32)) / distance
     roll = rng.uniform(-np.pi, np.pi) if rng.random() < 0.15 else rng.normal(0, 0.06)
     return View(place, distance, float(np.deg2rad(degrees)), float(roll), size, bool(close), held_out, bool(empty))
@@ -375,6 +379,8 @@ def surface(rng, view: View, role: str) -> dict[str, Any]:
     """Draw the look of an opaque surface of one of ``ROLES``."""
     weights, gloss, dark = ROLES[role]
     kind = str(rng.choice(list(weights), p=np.array(list(weights.values())) / sum(weights.values())))
+    if kind == "photo" and role in ("floor", "wall", "table"):
+        kind = "immunohistochemistry" if view.held_out else str(rng.choice(textures.GROUNDS))
     if kind == "photo":
         kind = str(rng.choice(textures.HELD_OUT_PHOTOGRAPHS if view.held_out else textures.PHOTOGRAPHS))
     if kind == "view":
@@ -397,7 +403,8 @@ def surface(rng, view: View, role: str) -> dict[str, Any]:
 
 def colours(rng, role: str, dark: bool) -> np.ndarray:
     """Return (2, 3) linear RGB, base and companion: white, grey, wooden or vivid as the role has them."""
-    tones = {"wall": (0.7, 0.2, 0.1), "ceiling": (0.9, 0.1, 0.0), "furniture": (0.4, 0.4, 0.2)}
+    tones = {"wall": (0.7, 0.2, 0.1), "ceiling": (0.9, 0.1, 0.0), "furniture": (0.42, 0.43, 0.15)}
+    tones |= {"table": (0.4, 0.4, 0.2), "floor": (0.45, 0.43, 0.12)}
     pale, wooden, vivid = tones.get(role, (0.3, 0.3, 0.4))
     mood = rng.choice(3, p=[pale, wooden, vivid])
     if mood == 0:
@@ -421,11 +428,11 @@ def glass(rng, hollow: bool, held_out: bool) -> dict[str, Any]:
     if rng.random() < 0.15:
         tint = np.array([(0.75, 0.45, 0.15), (0.35, 0.7, 0.4), (0.4, 0.6, 0.85), (0.8, 0.8, 0.8)][rng.integers(4)])
         tint = tint ** rng.uniform(0.5, 1.2)
-    thin = hollow and rng.random() < 0.7
+    thin = hollow and rng.random() < 0.5
     kept = float(rng.uniform(0.45, 0.98))
     look = {"type": "thin_glass" if thin else "glass", "ior": float(ior), "tint": tint, "infrared": kept}
     # A matcher reads through clear solid glass, too; the renderer's shadow rays cannot, unless it is taken for thin.
-    return {**look, "seen_through": bool(thin or rng.random() < 0.6)}
+    return {**look, "seen_through": bool(thin or rng.random() < 0.7)}
 
 
 def metal(rng, smooth: bool, held_out: bool) -> dict[str, Any]:

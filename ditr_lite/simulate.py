@@ -27,8 +27,8 @@ INFRARED_SIZE = (232, 360)  # wider than the RGB view, so that matching has room
 RGB_PASSES, RGB_SAMPLES, INFRARED_SAMPLES = 4, 4, 5  # paths per pixel
 ROOM_SIZE = (240, 320)  # the same of the room scenes
 ROOM_WIDEST = 420  # pixels of an infrared view
-ROOM_SAMPLES, ROOM_INFRARED_SAMPLES = 8, 3  # paths per pixel
-ROOM_DEPTH, ROOM_INFRARED_DEPTH = 9, 6  # segments of a path
+ROOM_SAMPLES, ROOM_INFRARED_SAMPLES = 7, 3  # paths per pixel
+ROOM_DEPTH, ROOM_INFRARED_DEPTH = 10, 6  # segments of a path
 
 
 def simulate(seed: int, split: str = "train", keep_infrared: bool = False, preset: str | None = None) -> Sample:

@@ -11,6 +11,7 @@ SIZE = 256
 # Photographs that come with scikit-image, free of copyright as far as it knows; held-out scenes see the second row alone.
 PHOTOGRAPHS = ("brick", "grass", "gravel", "coffee", "chelsea", "astronaut", "camera")
 HELD_OUT_PHOTOGRAPHS = ("rocket", "immunohistochemistry", "retina")
+GROUNDS = ("brick", "grass", "gravel")  # those that lie or stand about in sheets
 SURROUNDINGS = (
     *("apartment", "bridge", "city", "dawn", "esplanade", "forest", "hall"),
     *("night", "park", "sky", "studio", "sunrise", "venice", "warehouse"),
