@@ -2,7 +2,8 @@
 
 A form is a dict: ``points`` (N, 2) radius and height in units of the vessel's height, from the centre of the foot
 outwards and up; ``square`` the exponent of its cross section (2 is a circle, 6 nearly a square); ``ribs`` number and
-depth of flutes; ``wall`` the thickness of its wall, 0 for a single sheet; ``segments`` those of a full turn. It is centred on height 0.
+depth of flutes; ``wall`` the thickness of its wall, 0 for a single sheet; ``segments`` those of a full turn. It is
+centred on height 0.
 """
 
 from typing import Any
@@ -17,7 +18,17 @@ OUTLINES = {
     "shot_glass": [(0, 0), (0.36, 0), (0.42, 0.5), (0.48, 1)],
     "beer_glass": [(0, 0), (0.17, 0), (0.19, 0.3), (0.24, 0.75), (0.22, 1)],
     "bottle": [(0, 0), (0.22, 0), (0.22, 0.55), (0.17, 0.68), (0.08, 0.78), (0.08, 1)],
-    "pet_bottle": [(0, 0), (0.17, 0.0), (0.18, 0.05), (0.18, 0.3), (0.155, 0.4), (0.18, 0.5), (0.17, 0.7), (0.07, 0.9), (0.07, 1)],
+    "pet_bottle": [
+        (0, 0),
+        (0.17, 0.0),
+        (0.18, 0.05),
+        (0.18, 0.3),
+        (0.155, 0.4),
+        (0.18, 0.5),
+        (0.17, 0.7),
+        (0.07, 0.9),
+        (0.07, 1),
+    ],
     "jar": [(0, 0), (0.42, 0.02), (0.46, 0.1), (0.46, 0.75), (0.36, 0.86), (0.36, 1)],
     "vase": [(0, 0), (0.20, 0), (0.30, 0.35), (0.14, 0.75), (0.20, 1)],
     "bowl": [(0, 0), (0.45, 0), (0.85, 0.35), (1.05, 1)],
@@ -40,7 +51,9 @@ def vessel(rng: np.random.Generator, family: str, wall: float, close: bool = Tru
         points = np.concatenate([points[:1], cut.reshape(-1, 2), points[-1:]])
     if family == "pet_bottle" and rng.random() < 0.7:
         points = _waved(points, int(rng.integers(6, 14)), rng.uniform(0.01, 0.03))
-    square = float(rng.uniform(4, 9)) if family in ("bottle", "jar", "pet_bottle", "vase") and rng.random() < 0.25 else 2.0
+    square = (
+        float(rng.uniform(4, 9)) if family in ("bottle", "jar", "pet_bottle", "vase") and rng.random() < 0.25 else 2.0
+    )
     fluted = family not in ("wine_glass", "flute") and rng.random() < 0.15
     ribs = (int(rng.integers(8, 25)), float(rng.uniform(0.01, 0.04))) if fluted else (0, 0.0)
     return {"points": points, "square": square, "ribs": ribs, "wall": wall, "segments": SEGMENTS[not close]}
@@ -140,7 +153,9 @@ def mesh(form: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     angle = np.linspace(0, 2 * np.pi, count + 1)
     power = form["square"]
     around = (np.abs(np.cos(angle)) ** power + np.abs(np.sin(angle)) ** power) ** (-1 / power)
-    around = around / around.max() * (1.1 if power > 2 else 1.0) * (1 + form["ribs"][1] * np.cos(form["ribs"][0] * angle))
+    around = (
+        around / around.max() * (1.1 if power > 2 else 1.0) * (1 + form["ribs"][1] * np.cos(form["ribs"][0] * angle))
+    )
     radius, height = points[:, :1] * around, points[:, 1:]
     vertices = np.stack([radius * np.cos(angle), radius * np.sin(angle), height + 0 * angle], axis=-1)
     along = np.linspace(0, 1, len(points))[:, None] + 0 * angle

@@ -169,7 +169,9 @@ def render_clean(loaded: Any, camera: Camera, pose: np.ndarray, samples: int, se
     first = np.array(mi.render(loaded, sensor=_sensor(camera, pose, _FIRST), integrator=integrator, seed=seed))
     albedo, normal = (np.ascontiguousarray(first[..., k : k + 3], np.float32) for k in (0, 3))
     bright = 60 * max(float(np.percentile(colour, 80)), 1e-6)  # single paths that met a lamp
-    return pyoidn.denoise(np.clip(colour, 0, bright).astype(np.float32), albedo=np.clip(albedo, 0, 1), normal=normal, hdr=True)
+    return pyoidn.denoise(
+        np.clip(colour, 0, bright).astype(np.float32), albedo=np.clip(albedo, 0, 1), normal=normal, hdr=True
+    )
 
 
 def truth(loaded: Any, camera: Camera, pose: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -231,7 +233,9 @@ def _mesh(mi, name: str, thing: Thing, infrared: bool):
     values["vertex_positions"] = vertices.ravel().astype(np.float32)
     values["vertex_texcoords"] = uv.ravel().astype(np.float32)
     if smooth:
-        values["vertex_normals"] = forms.smooth_normals(vertices, faces, thing.form["segments"]).ravel().astype(np.float32)
+        values["vertex_normals"] = (
+            forms.smooth_normals(vertices, faces, thing.form["segments"]).ravel().astype(np.float32)
+        )
     values["faces"] = faces.ravel().astype(np.uint32)
     values.update()
     return mesh

@@ -360,7 +360,11 @@ def _lights(rng, eye: np.ndarray, floor: float) -> list[dict[str, Any]]:
 # ----- what things are made of ----------------------------------------------------------------------------------
 
 ROLES = {  # textures and their weights, chance of gloss, chance of a dark look
-    "table": ({"plain": 3, "noise": 2, "planks": 5, "cloth": 2, "speckle": 1, "tiles": 1, "photo": 2, "wood": 1}, 0.4, 0.2),
+    "table": (
+        {"plain": 3, "noise": 2, "planks": 5, "cloth": 2, "speckle": 1, "tiles": 1, "photo": 2, "wood": 1},
+        0.4,
+        0.2,
+    ),
     "floor": ({"plain": 2, "planks": 4, "tiles": 3, "noise": 2, "cloth": 1, "photo": 1}, 0.4, 0.2),
     "wall": ({"plain": 6, "noise": 2, "planks": 2, "tiles": 1, "photo": 1}, 0.1, 0.1),
     "ceiling": ({"plain": 3, "tiles": 1}, 0.0, 0.0),
@@ -510,7 +514,10 @@ def _group(rng, view: View, kind: int, size: float) -> tuple[Group, np.ndarray, 
     size = size * rng.uniform(0.7, 1.3)
     if kind == OPAQUE:
         return _distractor(rng, view, size)
-    names = {TRANSPARENT: (TRANSPARENT_FAMILIES, HELD_OUT_TRANSPARENT), REFLECTIVE: (REFLECTIVE_FAMILIES, HELD_OUT_REFLECTIVE)}
+    names = {
+        TRANSPARENT: (TRANSPARENT_FAMILIES, HELD_OUT_TRANSPARENT),
+        REFLECTIVE: (REFLECTIVE_FAMILIES, HELD_OUT_REFLECTIVE),
+    }
     family = str(rng.choice(names[kind][view.held_out]))
     if family in forms.OUTLINES:
         return _vessel(rng, view, kind, family, size)
@@ -553,7 +560,9 @@ def _vessel(rng, view: View, kind: int, family: str, size: float) -> tuple[Group
     height = size * {"bowl": 0.6, "dish": 0.25}.get(family, 1.0)
     scale = np.full(3, height)
     group = [Thing(family, kind, scale, np.eye(4), material, form)]
-    posture = rng.choice(["standing", "lying", "over", "leaning"], p=[0.95, 0, 0.05, 0] if low else [0.62, 0.24, 0.06, 0.08])
+    posture = rng.choice(
+        ["standing", "lying", "over", "leaning"], p=[0.95, 0, 0.05, 0] if low else [0.62, 0.24, 0.06, 0.08]
+    )
     tilt = {"standing": 0.0, "lying": np.pi / 2, "over": np.pi, "leaning": rng.uniform(0.15, 1.2)}[posture]
 
     def add(shape: dict[str, Any], what: int, look: dict[str, Any]) -> None:
@@ -573,21 +582,25 @@ def _vessel(rng, view: View, kind: int, family: str, size: float) -> tuple[Group
 
 
 def _drink(rng) -> tuple[int, dict[str, Any]]:
-    """Return the kind and material of a liquid: water, juice or tea; or milk and coffee, which nothing shines through."""
+    """Return the kind and material of a liquid: water, juice or tea; or milk and coffee, which are opaque."""
     if rng.random() < 0.2:
         base = np.array([(0.85, 0.82, 0.75), (0.05, 0.02, 0.01), (0.7, 0.35, 0.05)][rng.integers(3)])
         look = {"type": "plastic", "texture": "plain", "texture_seed": 0, "colours": np.stack([base, base])}
         return OPAQUE, {**look, "roughness": 0.05, "infrared": float(rng.uniform(0.1, 0.7)), "repeat": 1.0}
     tint = np.ones(3)
     if rng.random() < 0.6:
-        tint = np.array([(0.9, 0.5, 0.1), (0.7, 0.1, 0.08), (0.5, 0.85, 0.4), (0.85, 0.7, 0.3), (0.3, 0.12, 0.05)][rng.integers(5)])
+        tint = np.array(
+            [(0.9, 0.5, 0.1), (0.7, 0.1, 0.08), (0.5, 0.85, 0.4), (0.85, 0.7, 0.3), (0.3, 0.12, 0.05)][rng.integers(5)]
+        )
     look = {"type": "glass", "ior": 1.33, "tint": tint, "infrared": float(rng.uniform(0.5, 0.95))}
     return TRANSPARENT, {**look, "seen_through": bool(rng.random() < 0.5)}
 
 
 def _distractor(rng, view: View, size: float) -> tuple[Group, np.ndarray, float]:
     """An opaque thing: carton, can, book, phone or screen, cloth, tool, bowl, mug, ball, block."""
-    family = str(rng.choice(["carton", "can", "book", "phone", "cloth", "tool", "pot", "mug", "ball", "block", "block"]))
+    family = str(
+        rng.choice(["carton", "can", "book", "phone", "cloth", "tool", "pot", "mug", "ball", "block", "block"])
+    )
     turn, tilt = rng.uniform(0, 2 * np.pi), 0.0
     look, shape, form = surface(rng, view, "thing"), "box", None
     match family:
@@ -609,7 +622,10 @@ def _distractor(rng, view: View, size: float) -> tuple[Group, np.ndarray, float]
             look = surface(rng, view, "cloth")
         case "tool":
             shape = str(rng.choice(["cylinder", "box"]))
-            scale, tilt = size * np.array([rng.uniform(0.03, 0.09), rng.uniform(0.03, 0.09), rng.uniform(0.4, 1.0)]), np.pi / 2
+            scale, tilt = (
+                size * np.array([rng.uniform(0.03, 0.09), rng.uniform(0.03, 0.09), rng.uniform(0.4, 1.0)]),
+                np.pi / 2,
+            )
         case "pot" | "mug":
             form = forms.vessel(rng, str(rng.choice(["bowl", "tumbler", "jar", "vase", "dish"])), 0.0, view.close)
             scale = np.full(3, size * rng.uniform(0.4, 0.9))
@@ -629,7 +645,9 @@ def _can(rng, view: View, size: float) -> tuple[Group, np.ndarray, float]:
     """A tin can: a printed sleeve between two metal-grey rims; opaque, since its readings are good."""
     radius = rng.uniform(0.22, 0.42)
     rim = 0.5 - rng.uniform(0.01, 0.05)
-    points = np.array([(0, -0.5), (0.94 * radius, -0.5), (radius, -rim), (radius, rim), (0.94 * radius, 0.5), (0, 0.48)])
+    points = np.array(
+        [(0, -0.5), (0.94 * radius, -0.5), (radius, -rim), (radius, rim), (0.94 * radius, 0.5), (0, 0.48)]
+    )
     body = forms.turned(points)
     grey = {"type": "plastic", "texture": "plain", "texture_seed": 0, "colours": np.full((2, 3), rng.uniform(0.3, 0.6))}
     grey |= {"roughness": float(rng.uniform(0.05, 0.2)), "infrared": float(rng.uniform(0.3, 0.6)), "repeat": 1.0}

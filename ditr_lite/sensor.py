@@ -63,7 +63,9 @@ def dot_pattern(rng: np.random.Generator, size: int = 420, share: float = 0.04) 
     return np.clip(cv2.GaussianBlur(dots, (0, 0), 0.9) * 5, 0, 1)
 
 
-def expose(radiance: np.ndarray, matcher: Matcher, rng: np.random.Generator, white: float = 97.0, gamma: float = 1.0) -> np.ndarray:
+def expose(
+    radiance: np.ndarray, matcher: Matcher, rng: np.random.Generator, white: float = 97.0, gamma: float = 1.0
+) -> np.ndarray:
     """Return an 8-bit infrared image of (h, w) linear radiance: gain, shot noise, read noise, saturation.
 
     ``white`` is the percentile of the radiance that a gain of 1 puts at grey level 200; a ``gamma`` below 1

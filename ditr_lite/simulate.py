@@ -80,7 +80,9 @@ def _simulate_room(seed: int, split: str, keep_infrared: bool, preset: str | Non
         how = {"disparities": disparities, "far_m": float(np.exp(rng.uniform(np.log(3.0), np.log(10.0))))}
         exposure = {"white": float(rng.uniform(90, 98)), "gamma": float(rng.uniform(0.45, 0.9))}
         paths = {"paths": ROOM_INFRARED_SAMPLES, "depth": ROOM_INFRARED_DEPTH}
-        measured = _random_sensor(scene, points, camera, stereo, rng, seed, exposure=exposure, slanted=True, **paths, **how)
+        measured = _random_sensor(
+            scene, points, camera, stereo, rng, seed, exposure=exposure, slanted=True, **paths, **how
+        )
         depth, dropped, seen, pair, settings = measured
         strays = sensor.random_strays(rng)
         depth = sensor.stray(depth, strays, rng)
@@ -186,7 +188,9 @@ def simulate_many(
         ImportError: without Mitsuba.
     """
     if split not in SPLITS + ROOM_SPLITS or count < 1:
-        raise ValueError(f"expected a split of {', '.join(SPLITS + ROOM_SPLITS)} and a count >= 1, got {split!r} and {count}")
+        raise ValueError(
+            f"expected a split of {', '.join(SPLITS + ROOM_SPLITS)} and a count >= 1, got {split!r} and {count}"
+        )
     if preset is not None:
         sensors.preset(preset)
     folder = Path(root) / split

@@ -1,4 +1,4 @@
-"""Surface textures, drawn or photographed, and surroundings for the rendered scenes; every image follows from a seed."""
+"""Surface textures, drawn or photographed, and surroundings for the rendered scenes; each follows from a seed."""
 
 from functools import lru_cache
 
@@ -8,7 +8,7 @@ import numpy as np
 from ditr_lite.data import SAMPLES
 
 SIZE = 256
-# Photographs that come with scikit-image, free of copyright as far as it knows; held-out scenes see the second row alone.
+# Photographs that come with scikit-image, free of copyright as far as it knows; held-out scenes see the second row.
 PHOTOGRAPHS = ("brick", "grass", "gravel", "coffee", "chelsea", "astronaut", "camera")
 HELD_OUT_PHOTOGRAPHS = ("rocket", "immunohistochemistry", "retina")
 GROUNDS = ("brick", "grass", "gravel")  # those that lie or stand about in sheets
@@ -129,7 +129,10 @@ def _planks(rng) -> np.ndarray:
 def _tiles(rng) -> np.ndarray:
     """Tiles with joints between them."""
     count = int(rng.integers(2, 7))
-    image = 0.25 * _noise(rng) + np.kron(rng.normal(0.1, 0.05, (count, count)), np.ones((SIZE // count + 1,) * 2))[:SIZE, :SIZE]
+    image = (
+        0.25 * _noise(rng)
+        + np.kron(rng.normal(0.1, 0.05, (count, count)), np.ones((SIZE // count + 1,) * 2))[:SIZE, :SIZE]
+    )
     step = SIZE / count
     for k in range(count):
         at = int(k * step)
@@ -158,7 +161,9 @@ def _whole(kind: str, colours: np.ndarray, rng) -> np.ndarray:
     tint = colours[0] / colours[0].mean()
     crop = (grey + (crop - grey) * rng.uniform(0.2, 1.2)) * tint ** rng.uniform(0, 1)
     crop = crop * colours.mean() / max(float(crop.mean()), 1e-3)
-    return np.clip(crop if kind.startswith("view:") or rng.random() < 0.5 else crop[:, ::-1], 0.01, 0.9).astype(np.float32)
+    return np.clip(crop if kind.startswith("view:") or rng.random() < 0.5 else crop[:, ::-1], 0.01, 0.9).astype(
+        np.float32
+    )
 
 
 def _packaging(colours: np.ndarray, rng) -> np.ndarray:
