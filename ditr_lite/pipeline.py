@@ -355,7 +355,7 @@ class Ditr:
         small = tuple(frame.into(image) for image in (rgb, depth, region))
         views, bounds = self.look([small], plan.guides[1], False)
         mean, spread = self.paint(1, views, bounds, steps, samples, seed, plan)
-        geometric = tie(frame.back(mean[0]), depth, region)
+        geometric = tie(frame.back(mean[0]), without_strays(depth), region)
         geometric_spread = frame.back(spread[0])
         optical, optical_spread = geometric.copy(), geometric_spread.copy()
         if not self.config.window:  # the paper's: the whole frame here, too
@@ -368,7 +368,10 @@ class Ditr:
             frames = [fit((window.side, window.side), (side, side)) for window, _ in placed]
             cuts = []
             for (window, _), inner in zip(placed, frames, strict=True):
-                cuts.append(tuple(inner.into(window.cut(image)) for image in (rgb, depth, region)))
+                read = window.cut(depth)
+                if not read.any():  # far from all readings: what the geometric branch painted there has to do
+                    read = window.cut(geometric)
+                cuts.append(tuple(inner.into(image) for image in (window.cut(rgb), read, window.cut(region))))
             views, bounds = self.look(cuts, plan.guides[0], True)
             mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
             for i, ((window, pixels), inner) in enumerate(zip(placed, frames, strict=True)):
@@ -380,7 +383,7 @@ class Ditr:
         """Turn pictures at network size into what a branch is given.
 
         Args:
-            pictures: rgb (h, w, 3) uint8, depth (h, w) metres and region (h, w) bool of each.
+            pictures: rgb (h, w, 3) uint8, depth (h, w) metres with a reading, and region (h, w) bool of each.
             guide: which boundary map guides the branch; None for an empty one.
             around: take the bounds of each from the readings outside its region alone.
 
@@ -390,8 +393,6 @@ class Ditr:
         rows, lows, highs = [], [], []
         for rgb, depth, region in pictures:
             depth = without_strays(depth)
-            if not depth.any():  # nothing was read in this window
-                depth = np.ones_like(depth)
             bounds = depth_bounds(depth, ~region if around else None)
             depth_n, valid = depth_tensors(depth, bounds)
             maps = boundary_maps(rgb, depth, self.backend)
