@@ -31,6 +31,12 @@ FORMULAS = {  # each has its own family of mistakes
     "depth-aware map (I4)",
     "shadows measured",
     "loss types guessed",
+    "bounds",
+    "readings",
+    "windows",
+    "encoder",
+    "stage two",
+    "readings held (detail)",
 }
 
 
