@@ -134,11 +134,6 @@ def test_one_folder_holds_one_system(trained, data):
     home = trained[0]
     changes = [{"size": "32,64"}, {"window": 96}, {"evidence": False}]
     changes.append({"sampler.prediction": "v", "unet.anchor": False})
-        {"size": "32,64"},
-        {"window": 96},
-        {"evidence": False},
-        {"sampler.prediction": "v", "unet.anchor": False},
-    ]
     for change in [*changes, {"detail.width": 16}]:
         before = (home / "weights" / "card.json").read_bytes()
         with pytest.raises(
