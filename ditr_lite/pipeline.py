@@ -170,7 +170,7 @@ class Painting:
 
     Attributes:
         optical: painted in windows around the region; what the geometric branch painted elsewhere.
-        geometric: painted over the whole frame.
+        geometric: painted over the whole frame; holes at the level of the readings around them.
         optical_spread, geometric_spread: standard deviation over samples.
         windows: where the optical branch looked.
     """
@@ -355,7 +355,9 @@ class Ditr:
         small = tuple(frame.into(image) for image in (rgb, depth, region))
         views, bounds = self.look([small], plan.guides[1], False)
         mean, spread = self.paint(1, views, bounds, steps, samples, seed, plan)
-        geometric = tie(frame.back(mean[0]), without_strays(depth), region)
+        own = frame.back(mean[0])
+        tied = tie(own, without_strays(depth), region)
+        geometric = np.where((depth > 0) & ~region, own, tied)  # readings are not echoed: adjust asks for the painting
         geometric_spread = frame.back(spread[0])
         optical, optical_spread = geometric.copy(), geometric_spread.copy()
         if not self.config.window:  # the paper's: the whole frame here, too

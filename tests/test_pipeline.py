@@ -265,7 +265,8 @@ def test_painters_can_change_places():
     ditr = Ditr(untrained(config), config)
     one, swapped = (painted(ditr, Plan(painters=p, guides=(0, 0))) for p in (BRANCHES, BRANCHES[::-1]))
     _, depth, region = frame(64, 96)
-    assert np.allclose(tie(swapped.optical, depth, region), one.geometric, rtol=1e-4)
+    holes = ~region & (depth == 0)
+    assert np.allclose(tie(swapped.optical, depth, region)[holes], one.geometric[holes], rtol=1e-4)
     assert not np.allclose(swapped.optical, one.optical, rtol=1e-3)
 
 
