@@ -32,6 +32,12 @@ FORMULAS = {  # each has its own family of mistakes
     "true outlines",
     "shadows measured",
     "loss types guessed",
+    "bounds",
+    "readings",
+    "windows",
+    "encoder",
+    "stage two",
+    "readings held (detail)",
 }
 
 

@@ -187,7 +187,7 @@ def views_of(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray)
     whole = [tuple(frame.into(image) for image in (rgb, depth, region))]
     guides = Plan().guides
     found = {"geometric": ditr.look(whole, guides[1], False)[0]}
-    close = [shown for *_, shown in ditr.close_ups(rgb, depth, region)] if ditr.config.window else whole
+    close = [shown for *_, shown in ditr.close_ups(rgb, depth, region, depth)] if ditr.config.window else whole
     if close:
         found["optical"] = ditr.look(close, guides[0], bool(ditr.config.window))[0]
     return found
