@@ -29,7 +29,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from .schedule import NoiseSchedule, check_prediction, check_timesteps, levels
+from .schedule import NoiseSchedule, check_prediction, check_steps, levels
 
 
 def q_sample(x0: Tensor, t: Tensor, eps: Tensor, schedule: NoiseSchedule) -> Tensor:
@@ -175,7 +175,7 @@ def ddim_step(
     if not 0 <= eta <= 1:
         raise ValueError(f"eta: expected a number in [0, 1], got {eta}")
     pred_eps = eps_from_x0(x_t, t, pred_x0, schedule)  # checks x_t, t and pred_x0
-    check_timesteps(t_prev, schedule.timesteps, lowest=-1)
+    check_steps(t_prev, schedule.timesteps, lowest=-1)
     if t_prev.shape != t.shape or not bool((t_prev < t).all()):
         raise ValueError("t_prev: expected one earlier step for each t; steps run from T - 1 down to -1 (clean)")
     abar, abar_prev = schedule.alpha_bar(t, x_t.ndim), schedule.alpha_bar(t_prev, x_t.ndim)  # (B, 1, ..., 1) float64

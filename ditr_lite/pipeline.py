@@ -25,8 +25,7 @@ from .conditioning import (
 )
 from .config import Config, RefineConfig, StdConfig
 from .detail import DetailNet
-from .encoder import ColourEncoder
-from .region import RegionNet, refine_region
+from .region import ColourEncoder, RegionNet, refine_region
 from .schedule import make_schedule
 from .stage_two import BRANCHES, Painter, Plan, Views, paint
 from .store import load_parts

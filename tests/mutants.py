@@ -425,27 +425,36 @@ REGION = [
     ),
 ]
 
-BOUNDARY = family(
-    "depth-aware map (I4)",
-    "boundary/maps",
-    ("as printed: no tolerance", "boundary_rgb & within(boundary_depth, tolerance)", "boundary_rgb & boundary_depth"),
-    ("the other map is grown", "boundary_rgb & within(boundary_depth,", "boundary_depth & within(boundary_rgb,"),
-    ("union for intersection", "return boundary_rgb & within(", "return boundary_rgb | within("),
-    ("distance: equal is too far", "distance <= tolerance + 1e-4", "distance < tolerance - 1e-4"),
-    ("distance: city blocks", "cv2.DIST_L2, cv2.DIST_MASK_PRECISE", "cv2.DIST_L1, 3"),
-)
-
-TRUTH = family(
-    "true outlines",
-    "boundary/truth",
-    ("jump: signed", "np.abs(depth_gt[first] - depth_gt[second]) > jump", "depth_gt[first] - depth_gt[second] > jump"),
-    ("jump: within an object, too", "found = differ & known", "found = known"),
-    ("jump: unknown depth counts", "differ & known & apart", "differ & apart"),
-    ("jump: background is marked", "return outline & jumps", "return jumps"),
-    ("precision: of the true pixels", "float(right / pred.sum())", "float(right / true.sum())"),
-    ("recall: counts predictions", "float(hit / true.sum())", "float(right / true.sum())"),
-    ("F: not harmonic", "float(2 * precision * recall / (precision + recall))", "(precision + recall) / 2"),
-)
+BOUNDARY = [
+    *family(
+        "depth-aware map (I4)",
+        "boundary/maps",
+        (
+            "as printed: no tolerance",
+            "boundary_rgb & within(boundary_depth, tolerance)",
+            "boundary_rgb & boundary_depth",
+        ),
+        ("the other map is grown", "boundary_rgb & within(boundary_depth,", "boundary_depth & within(boundary_rgb,"),
+        ("union for intersection", "return boundary_rgb & within(", "return boundary_rgb | within("),
+        ("distance: equal is too far", "distance <= tolerance + 1e-4", "distance < tolerance - 1e-4"),
+        ("distance: city blocks", "cv2.DIST_L2, cv2.DIST_MASK_PRECISE", "cv2.DIST_L1, 3"),
+    ),
+    *family(
+        "true outlines",
+        "boundary/truth",
+        (
+            "jump: signed",
+            "np.abs(depth_gt[first] - depth_gt[second]) > jump",
+            "depth_gt[first] - depth_gt[second] > jump",
+        ),
+        ("jump: within an object, too", "found = differ & known", "found = known"),
+        ("jump: unknown depth counts", "differ & known & apart", "differ & apart"),
+        ("jump: background is marked", "return outline & jumps", "return jumps"),
+        ("precision: of the true pixels", "float(right / pred.sum())", "float(right / true.sum())"),
+        ("recall: counts predictions", "float(hit / true.sum())", "float(right / true.sum())"),
+        ("F: not harmonic", "float(2 * precision * recall / (precision + recall))", "(precision + recall) / 2"),
+    ),
+]
 
 FRAMES = [
     *family(
@@ -523,7 +532,7 @@ FRAMES = [
     ),
     *family(
         "encoder",
-        "encoder",
+        "region/encoder",
         (
             "padding: symmetric",
             "(total // 2, total - total // 2) * 2 if stride > 1",
@@ -587,7 +596,6 @@ MUTANTS: list[Mutant] = [
     *PARTITION,
     *REGION,
     *BOUNDARY,
-    *TRUTH,
     *FRAMES,
 ]
 

@@ -103,7 +103,7 @@ def hardened(tmp_path_factory):
 
 
 def test_every_cell_was_run(hardened):
-    assert list(hardened) == [*HONEST, *BAD] and not HONEST.keys() & BAD.keys()
+    assert hardened.keys() == HONEST.keys() | BAD.keys() and not HONEST.keys() & BAD.keys()
 
 
 def test_honest_cells_pass(hardened):

@@ -178,6 +178,12 @@ def test_imports_run_one_way():
     assert broken_rules(SOURCES, ditr_lite.MODULES) == []
 
 
+def test_a_newcomer_meets_at_most_thirty_names():
+    """Counted is what there is to read: not the face, the two lines of ``__main__`` or the weights, which are data."""
+    found = {path.stem for path in PACKAGE.iterdir()} - {"__init__", "__main__", "__pycache__", "weights"}
+    assert found == set(ditr_lite.MODULES) and len(ditr_lite.MODULES) == len(found) <= 30
+
+
 def test_no_tool_takes_a_private_name():
     tools = [p for p in PYTHON if ROOT / "tools" in p.parents]
     assert tools and faults(lambda path: private_uses(ast.parse(path.read_text(encoding="utf-8"))), tools) == {}

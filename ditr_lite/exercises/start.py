@@ -8,7 +8,7 @@ still runs to its end.
 import numpy as np
 
 from ..camera import Camera
-from .checker import Function, check, verdict
+from .checker import Function, announce, check
 
 
 def check_disparity_to_depth(attempt: Function) -> bool:
@@ -140,7 +140,7 @@ def check_normalise(attempt: Function) -> bool:
             return "a flat map divides by zero: keep high above low"
         return None
 
-    return verdict("normalisation", problem)
+    return announce("normalisation", problem)
 
 
 def check_unproject(attempt: Function) -> bool:
