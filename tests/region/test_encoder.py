@@ -4,7 +4,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from ditr_lite.encoder import CHANNELS, STAGES, ColourEncoder, InvertedResidual, SameConv, fold
+from ditr_lite.region.encoder import CHANNELS, STAGES, ColourEncoder, InvertedResidual, SameConv, fold
 
 
 def published(seed=0):
