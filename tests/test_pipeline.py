@@ -216,7 +216,7 @@ def test_strays_beside_a_hole_do_not_move_what_is_painted_there(ditr):
     one, other = (ditr(rgb, d, nothing, steps=1, samples=1) for d in (depth, spoilt))
     hole = np.s_[20:40, 40:60]
     assert np.median(np.abs(other.depth[hole] / one.depth[hole] - 1)) < 0.05
-    assert np.abs(np.log(other.depth[hole] / one.depth[hole])).max() < 0.4
+    assert np.abs(np.log(other.depth[hole] / one.depth[hole])).max() < 0.1
     assert (other.depth[[22, 30, 36], 39] == 40).all()  # and they come back
 
 
