@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from ditr_lite import data, files, pipeline, store
-from ditr_lite.cli import DATASETS, main
+from ditr_lite.cli import main
+from ditr_lite.cli.evaluate import DATASETS
 from ditr_lite.config import preset
 from ditr_lite.evaluation import memory, yardstick
 from ditr_lite.training import recipes
@@ -155,7 +156,10 @@ def keep(folder):
         (keep, {"out": "c.tif"}, "cannot write .*c.tif: expected a name ending in .png, .npy, .exr"),
         (keep, {"out": "in/a.png/c.png"}, "cannot write .*is a file, not a folder"),
         (keep, {"panel": "c.jpg"}, "cannot write .*c.jpg"),
-        (keep, {"steps": 0}, "steps: expected 1 to 1000"),
+        (keep, {"steps": 0}, "steps: expected at least 1, got 0"),
+        (keep, {"threshold": 1.5}, "threshold: expected a probability between 0 and 1"),
+        (keep, {"refine": "4,3,1"}, "refine: expected odd kernels"),
+        (keep, {"refine": "3,3"}, "refine: expected MEDIAN,DILATE,ITERATIONS"),
         (keep, {"samples": 0}, "samples: expected at least 1"),
         (keep, {"steps": "many"}, "invalid int value: 'many'"),
         (keep, {"depth_scale": -1}, "depth_scale should be metres per unit"),
@@ -255,7 +259,7 @@ UNET = {"parameters": 1000, "gflops": 1.0, "ms": 2.0, "ms_per_gflop": 2.0}
         ([], "required: COMMAND"),
         (["fly"], "invalid choice: 'fly'"),
         (["evaluate", "--split", "west"], "unknown split 'west'"),
-        (["evaluate", "--limit", "0"], "--limit should be at least 1"),
+        (["evaluate", "--limit", "0"], "--limit: expected at least 1"),
         (["evaluate", "--dataset", "todd"], "--dataset todd needs --root"),
         (["evaluate", "--dataset", "todd", "--root", "nowhere"], "no TODD frames in nowhere"),
         (["evaluate", "--dataset", "nyu", "--root", "."], "invalid choice: 'nyu'"),
@@ -263,13 +267,13 @@ UNET = {"parameters": 1000, "gflops": 1.0, "ms": 2.0, "ms_per_gflop": 2.0}
         (["simulate", "--count", "3"], "--count needs --split"),
         (["simulate", "--sensor", "d435"], "--sensor needs --split"),
         (["simulate", "--split", "test"], "--split needs --count"),
-        (["simulate", "--split", "test", "--count", "0"], "a count >= 1"),
+        (["simulate", "--split", "test", "--count", "0"], "--count: expected at least 1"),
         (["train", "--part", "wheel"], "unknown part 'wheel'"),
         (["train", "--preset", "vast"], "unknown preset 'vast'"),
         (["train", "--set", "unet.width"], "--set expects key=value"),
         (["train", "--set", "unet.depth=3"], "unknown setting 'unet.depth'"),
         (["train", "--set", "unet.heads=0"], "unet: expected at least 1, got heads 0"),
-        (["train", "--data", str(data.SAMPLES / "val"), "--steps", "-5"], "expected at least 1 step"),
+        (["train", "--data", str(data.SAMPLES / "val"), "--steps", "-5"], "--steps: expected at least 1"),
         (
             ["train", "--data", "nowhere"],
             "no scenes in nowhere: make them with `python -m ditr_lite simulate --split train --count 1500 "
@@ -344,7 +348,7 @@ def test_a_changed_tiny_system_is_compared_with_the_default(scenes, tmp_path, fr
     assert "leave --start out" in refused([*argv, "--start", "outputs/weights"], capsys)
 
 
-def test_only_plain_lite_writes_into_the_shipped_weights(scenes, monkeypatch, capsys):
+def test_training_never_writes_into_the_shipped_weights_by_itself(scenes, monkeypatch, capsys):
     calls, commands = [], []
 
     def fake(part, config, data, val, out, work, recipe, limit, seed, boundary, start, command):
@@ -356,7 +360,7 @@ def test_only_plain_lite_writes_into_the_shipped_weights(scenes, monkeypatch, ca
     argv = ["train", "--part", "region", "--data", str(scenes / "val"), "--val", str(scenes / "val"), "--steps", "7"]
     for extra in ([], ["--preset", "tiny"], ["--set", "unet.width=64"]):
         assert main([*argv, *extra]) == 0
-    assert calls[0] == (store.WEIGHTS, Path("outputs/training"), 7)
+    assert calls[0] == (Path("outputs/weights/lite"), Path("outputs/training/lite"), 7)
     assert {str(out) for out, _, _ in calls[1:]} == {"outputs/weights/tiny", "outputs/weights/lite-unet.width=64"}
     assert len({work for _, work, _ in calls}) == 3
     assert commands[2] == shlex.join(["python", "-m", "ditr_lite", *argv, "--set", "unet.width=64"])
@@ -381,7 +385,8 @@ def test_scenes_to_validate_on_are_the_shipped_ones_wherever_it_is_called_from(s
     monkeypatch.chdir(tmp_path)
     for command in (["train", "--part", "region"], ["train-boundary"]):
         assert main([*command, "--data", str(scenes / "val")]) == 2
-    assert seen == [data.SAMPLES / "val"] * 2
+    shipped = [data.SAMPLES / split for split in ("val", "rooms_val") if (data.SAMPLES / split).is_dir()]
+    assert seen == [shipped, data.SAMPLES / "val"]
 
 
 def test_json_is_written_whole_or_not_at_all(tmp_path):

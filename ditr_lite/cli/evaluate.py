@@ -1,0 +1,238 @@
+"""What scores: ``evaluate``, ``bench`` (also what each stage costs), ``bench-boundary`` and ``floor``."""
+
+import os
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import Any
+
+from .shared import (
+    SPLITS,
+    First,
+    add_system,
+    add_weights,
+    check_target,
+    command_line,
+    load_system,
+    real,
+    scenes_of,
+    whole,
+)
+
+DATASETS = ("cleargrasp", "cleargrasp_synthetic", "todd", "std", "dreds", "trosd", "transcg", "folder")
+PROTOCOLS = ("cleargrasp", "lidf", "transparenet", "dfnet", "swindrnet", "d3roma", "marigold")
+
+
+class Evaluate:
+    """Score DITR and every baseline on a split of rendered scenes or on a real dataset."""
+
+    @staticmethod
+    def add_arguments(p: ArgumentParser) -> None:
+        """Add what ``evaluate`` takes."""
+        p.add_argument("--dataset", choices=DATASETS, help="a real dataset instead of the rendered scenes")
+        p.add_argument("--root", type=Path, help="the folder that holds the dataset (or other rendered scenes)")
+        p.add_argument("--split", help=f"of the scenes: {', '.join(SPLITS)} (default test); of a dataset: its own")
+        p.add_argument(
+            "--protocol", choices=PROTOCOLS, help="also score as that code does (cleargrasp's dataset: cleargrasp)"
+        )
+        add_scoring(p)
+
+    @staticmethod
+    def run(options: Namespace) -> None:
+        """Print the tables."""
+        check_target(options.json, ".json")
+        source, frames = chosen_frames(options)
+        from ..evaluation import protocols, scoring
+        from ..files import write_json
+
+        name = options.protocol or ("cleargrasp" if options.dataset == "cleargrasp" else None)
+        protocol = protocols.PROTOCOLS.get(name)
+        ditr = load_system(options)
+        results = scoring.run_methods(
+            frames, ditr, None, options.given_region, options.steps, options.samples, protocol=protocol
+        )
+        print(f"{source}, region {'given' if options.given_region else 'found by stage one'}")
+        print(scoring.format_report(scoring.summary(results, protocol), protocol))
+        if options.json:
+            written = scoring.to_json(
+                results, command_line(options), options.weights, protocol, **notes(source, options)
+            )
+            write_json(options.json, written)
+
+
+class Bench:
+    """Score every method on a split, a reader's own included, and measure what each stage costs."""
+
+    @staticmethod
+    def add_arguments(p: ArgumentParser) -> None:
+        """Add what ``bench`` takes."""
+        add_scenes(p)
+        p.add_argument(
+            "--method",
+            action="append",
+            default=[],
+            metavar="MODULE:FUNCTION",
+            help="also score your own f(rgb, depth, region) -> depth in metres; the module is looked for here first",
+        )
+        p.add_argument(
+            "--runs", type=whole(), default=7, help="runs of a stage whose median is taken, 5 or more (%(default)s)"
+        )
+        add_scoring(p)
+
+    @staticmethod
+    def run(options: Namespace) -> None:
+        """Print the tables."""
+        check_target(options.json, ".json")
+        from ..baselines import REGISTRY
+        from ..evaluation import latency, scoring
+        from ..evaluation.own_method import find_methods
+        from ..files import write_json
+
+        if options.runs < latency.MIN_RUNS:  # now, not after everything has been scored
+            raise ValueError(f"--runs should be at least {latency.MIN_RUNS}, got {options.runs}")
+        own = find_methods(options.method)
+        source, frames = chosen_frames(options)
+        ditr = load_system(options)
+        methods = {**REGISTRY, **own}
+        results = scoring.run_methods(frames, ditr, methods, options.given_region, options.steps, options.samples)
+        print(f"{source}, region {'given' if options.given_region else 'found by stage one'}")
+        print(scoring.format_report(scoring.summary(results)))
+        cost = costs(options, ditr, frames[0])
+        if options.json:
+            written = scoring.to_json(
+                results, command_line(options), options.weights, **notes(source, options), cost=cost
+            )
+            write_json(options.json, written)
+
+
+class BenchBoundary:
+    """Score every boundary backend against the exact outlines of rendered scenes."""
+
+    @staticmethod
+    def add_arguments(p: ArgumentParser) -> None:
+        """Add what ``bench-boundary`` takes."""
+        p.add_argument("--root", type=Path, help="a folder of other rendered scenes, with their train split")
+        p.add_argument("--split", default="test", help=f"{', '.join(SPLITS)} (default test)")
+        p.add_argument("--limit", type=whole(), help="only the first frames")
+        p.add_argument("--tolerance", type=real(-1e-9, 100, "pixels"), default=1.0, help="pixels (%(default)s)")
+        p.add_argument("--weights", type=Path, help="weights folder of the learned backend (default: the shipped one)")
+        p.add_argument("--sam", type=Path, help="folder of a SAM checkpoint; without it, sam is not scored")
+        p.add_argument("--json", type=Path, help="also write every frame's scores to this file")
+
+    @staticmethod
+    def run(options: Namespace) -> None:
+        """Print the table."""
+        check_target(options.json, ".json")
+        from ..evaluation import boundary as boundary_scoring
+
+        frames = scenes_of(options.split, options.root, options.limit)
+        tuning = scenes_of("train", options.root, None)
+        results = boundary_scoring.bench(frames, tuning, options.tolerance, options.weights, options.sam)
+        print(boundary_scoring.format_table(results["summary"]))
+        if options.json:
+            from ..files import write_json
+
+            write_json(options.json, {"command": command_line(options), "split": options.split, **results})
+
+
+class Floor:
+    """Measure what is lost when the ground truth of a split is encoded and decoded, and how many codes are in use."""
+
+    @staticmethod
+    def add_arguments(p: ArgumentParser) -> None:
+        """Add what ``floor`` takes."""
+        add_scenes(p)
+        p.add_argument("--limit", type=whole(), help="only the first frames")
+        p.add_argument("--json", type=Path, help="also write the figures, with the weights' checksum, to this file")
+        add_weights(p)
+
+    @staticmethod
+    def run(options: Namespace) -> None:
+        """Print the figures."""
+        check_target(options.json, ".json")
+        source, frames = chosen_frames(options)
+        from ..files import write_json
+        from ..store import read_card
+        from ..studies.floor import format_floor, load_autoencoder, measure_floor
+
+        report = measure_floor(frames, load_autoencoder(options.weights))
+        print(f"{source}, ground truth encoded and decoded")
+        print(format_floor(report))
+        if options.json:
+            checksum = read_card(options.weights)["parts"]["autoencoder"]["sha256"]
+            head = {"command": command_line(options), "weights_sha256": checksum, "source": source}
+            write_json(options.json, {**head, **report})
+
+
+def add_scenes(p: ArgumentParser) -> None:
+    """Add the arguments that choose rendered scenes."""
+    p.add_argument("--root", type=Path, help="a folder of other rendered scenes")
+    p.add_argument("--split", default="test", help=f"{', '.join(SPLITS)} (default test)")
+
+
+def add_scoring(p: ArgumentParser) -> None:
+    """Add the arguments of what scores the whole system."""
+    p.add_argument("--limit", type=whole(), help="only the first frames")
+    p.add_argument("--given-region", action="store_true", help="hand over the true region instead of finding it")
+    p.add_argument("--json", type=Path, help="also write the figures, with the weights' checksums, to this file")
+    add_system(p)
+
+
+def notes(source: str, options: Namespace) -> dict[str, Any]:
+    """Return what a results file says of how it was made."""
+    how = {"source": source, "given_region": options.given_region, "steps": options.steps, "samples": options.samples}
+    given = {key: getattr(options, key) for key in ("threshold", "refine") if getattr(options, key) is not None}
+    return how | given
+
+
+def chosen_frames(options: Namespace) -> tuple[str, First]:
+    """Return what to call the frames and the frames themselves; refuse those that cannot be scored."""
+    if getattr(options, "dataset", None) is None:
+        split = options.split or "test"
+        return f"{split} split", scenes_of(split, options.root, options.limit)
+    from ..datasets import REGISTRY
+
+    if options.dataset not in REGISTRY:
+        raise ValueError(f"unknown dataset {options.dataset!r}; choose one of {', '.join(REGISTRY)}")
+    if options.root is None:
+        raise ValueError(f"--dataset {options.dataset} needs --root DIR, the folder that holds it")
+    dataset = REGISTRY[options.dataset](options.root, options.split)
+    frames = First(dataset.names, dataset.__getitem__, options.limit)
+    if frames[0].depth_gt is None:
+        raise ValueError(
+            f"{options.dataset} in {options.root} has no ground-truth depth: nothing to score; see `complete`"
+        )
+    return f"{options.dataset} in {options.root}{f', split {options.split}' if options.split else ''}", frames
+
+
+def costs(options: Namespace, ditr, sample) -> dict[str, Any]:
+    """Measure and print time, memory and operations at both frame sizes, the yardstick and training speed."""
+    import torch
+
+    from ..evaluation import latency, memory, yardstick
+
+    runs, steps, samples = options.runs, options.steps, options.samples
+    found: dict[str, Any] = {
+        "machine": {"cores": os.cpu_count(), "threads": torch.get_num_threads(), "torch": torch.__version__},
+        "runs": runs,
+        "frames": [],
+    }
+    for frame in (sample, latency.enlarged(sample)):
+        height, width = frame.depth.shape
+        rows = latency.measure(ditr, frame, runs, steps, samples)
+        peaks = memory.stage_peaks(options.weights, frame, steps, samples)
+        rows = [{**row, "peak_mb": peaks[row["stage"]]} for row in rows]
+        found["frames"].append({"size": [height, width], "stages": rows})
+        print(f"\nmedian of {runs} runs, a frame of {width} x {height}, working size {ditr.config.size[::-1]}")
+        print(latency.format_latency(rows))
+    try:
+        found["unets"] = yardstick.compare_unets(ditr, runs)
+        print("\none denoising step of one branch, one sample, beside a library's U-Net on latents of the same shape")
+        print(yardstick.format_unets(found["unets"]))
+    except ImportError as error:
+        print(f"\n{error}")
+    found["training"] = speed = yardstick.throughput(ditr)
+    print(
+        f"\ntraining the {speed['part']} branch, batch {speed['batch']}: {speed['steps_per_s']:.2f} steps and "
+        f"{speed['frames_per_s']:.1f} frames a second"
+    )
+    return found
