@@ -84,7 +84,7 @@ def test_an_interrupted_save_leaves_the_old_sample(tmp_path, monkeypatch):
     def fail(*_):
         raise OSError("disk full")
 
-    monkeypatch.setattr(cv2, "imwrite", fail)
+    monkeypatch.setattr(cv2, "imencode", fail)
     with pytest.raises(OSError, match="disk full"):
         data.save_sample(make_sample(seed=1), folder)
     assert_same(make_sample(), data.read_sample(folder), but=("rgb",))
@@ -117,7 +117,7 @@ def test_reading_names_what_is_wrong(tmp_path):
     with pytest.raises(ValueError, match="16-bit single-channel PNG in millimetres, got uint8"):
         data.read_sample(folder)
     (folder / "rgb.jpg").unlink()
-    with pytest.raises(ValueError, match="cannot read .*rgb.jpg"):
+    with pytest.raises(ValueError, match="no file .*rgb.jpg"):
         data.read_sample(folder)
 
 
@@ -125,18 +125,18 @@ def test_reading_names_what_is_wrong(tmp_path):
     ("text", "found"),
     [
         ("{}", "KeyError.'camera'"),
-        ('{"camera": null,', "JSONDecodeError"),
+        ('{"camera": null,', "as JSON"),
         ('{"camera": {"fx": 9}, "stereo": null, "meta": {}}', "missing 5 required"),
         ('{"camera": null, "stereo": {"camera": null}, "meta": {}}', "KeyError.'rgb_from_left'"),
         ('{"camera": null, "stereo": null, "meta": 3}', "TypeError"),
-        ("[]", "TypeError"),
+        ("[]", "got list"),
     ],
 )
 def test_a_meta_file_that_is_no_use_is_named(tmp_path, text, found):
     folder = tmp_path / "test_0001"
     data.save_sample(make_sample(), folder)
     (folder / "meta.json").write_text(text)
-    with pytest.raises(ValueError, match=rf"test_0001.meta\.json should be a JSON object.*{found}"):
+    with pytest.raises(ValueError, match=rf"test_0001.meta\.json.*{found}"):
         data.read_sample(folder)
 
 

@@ -34,7 +34,7 @@ def test_depth_survives_the_disk(tmp_path, depth, suffix):
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
-def test_depth_scale_applies_to_integers_only(tmp_path):
+def test_depth_scale_applies_to_every_type(tmp_path):
     units = np.full((4, 5), 4000, np.uint16)
     png = save_image(tmp_path / "d.png", units)
     np.save(tmp_path / "int.npy", units)
@@ -42,7 +42,8 @@ def test_depth_scale_applies_to_integers_only(tmp_path):
     assert files.read_depth(png)[0, 0] == 4.0
     assert files.read_depth(png, 0.00025)[0, 0] == 1.0
     assert files.read_depth(tmp_path / "int.npy", 0.00025)[0, 0] == 1.0
-    assert files.read_depth(tmp_path / "float.npy", 0.00025)[0, 0] == 1.25
+    assert files.read_depth(tmp_path / "float.npy")[0, 0] == 1.25
+    assert files.read_depth(tmp_path / "float.npy", 0.5)[0, 0] == 0.625
     for scale in (0, -1, np.nan):
         with pytest.raises(ValueError, match="metres per unit"):
             files.read_depth(png, scale)
@@ -75,7 +76,7 @@ def test_exr_channels(tmp_path):
     with pytest.raises(ValueError, match="normals picture, not depth"):
         files.read_depth(normals)
     other = save_exr(tmp_path / "other.exr", X=half, Y=half)
-    with pytest.raises(ValueError, match="expected one channel or R"):
+    with pytest.raises(ValueError, match="expected one channel, Z or R"):
         files.read_depth(other)
 
 
@@ -88,7 +89,7 @@ def test_unusable_depth_is_refused_with_the_reason(tmp_path):
         "no file": tmp_path / "absent.png",
         "not a plain .npy array": tmp_path / "objects.npy",
         "not an OpenEXR file": tmp_path / "text.exr",
-        "expected a PNG, JPEG, .npy or .exr file": tmp_path / "text.png",
+        "expected a PNG, JPEG, TIFF, .npy or .exr file": tmp_path / "text.png",
         "should hold integers or floats": tmp_path / "text.npy",
     }
     np.save(tmp_path / "objects.npy", np.array([{}], dtype=object))
@@ -99,12 +100,12 @@ def test_unusable_depth_is_refused_with_the_reason(tmp_path):
         with pytest.raises(ValueError, match=message):
             files.read_depth(path)
     np.save(tmp_path / "mm.npy", np.full((4, 5), 612.0))
-    with pytest.raises(ValueError, match="is its unit millimetres"):
+    with pytest.raises(ValueError, match=r"millimetres\? pass depth_scale=0.001"):
         files.read_depth(tmp_path / "mm.npy")
     assert not files.read_depth(cases["no valid depth"], allow_empty=True).any()
 
 
-@pytest.mark.parametrize("suffix", [".png", ".exr", ".npy"])
+@pytest.mark.parametrize("suffix", files.DEPTH)
 def test_a_file_cut_short_is_refused(tmp_path, depth, suffix):
     path = tmp_path / f"d{suffix}"
     files.write_depth(path, depth)
@@ -165,7 +166,7 @@ def test_what_is_not_depth_is_not_written(tmp_path, array, message):
 
 
 def test_an_unknown_suffix_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="choose .png, .npy or .exr"):
+    with pytest.raises(ValueError, match="choose .png, .tif, .tiff, .npy, .exr"):
         files.write_depth(tmp_path / "d.jpg", np.ones((2, 2)))
 
 

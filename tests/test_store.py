@@ -59,7 +59,13 @@ def test_damaged_or_replaced_weights_are_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [(None, "no weights in"), ("{", "is damaged"), ("\xff", "is damaged"), ("[]", "no card"), ("{}", "lacks config")],
+    [
+        (None, "no weights in"),
+        ("{", "is damaged"),
+        ("\xff", "is damaged"),
+        ("[]", "is damaged"),
+        ("{}", "lacks config"),
+    ],
 )
 def test_a_folder_without_a_proper_card_is_refused(tmp_path, text, message):
     if text is not None:

@@ -5,6 +5,7 @@ ends with exit code 2 and one line on stderr, an interruption with 130 and one l
 """
 
 import sys
+import warnings
 from argparse import ArgumentParser
 from collections.abc import Sequence
 from typing import NoReturn
@@ -24,7 +25,8 @@ COMMANDS = {
     "bench-boundary": (evaluate.BenchBoundary, "score every boundary backend against the exact outlines of the scenes"),
     "floor": (evaluate.Floor, "measure what the autoencoder loses of the ground truth, and how many codes it uses"),
 }
-BAD_INPUT = (ValueError, OSError, ImportError)  # OSError: files that are absent, unreadable, or cannot be written
+# OSError: files that are absent, unreadable, or cannot be written; RuntimeError: a reader's own part, torch, a library
+BAD_INPUT = (ValueError, OSError, ImportError, RuntimeError)
 
 
 class Parser(ArgumentParser):
@@ -48,7 +50,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         options = parser().parse_args(argv)
         options.argv = argv
-        return options.run(options) or 0
+        with warnings.catch_warnings():
+            warnings.filterwarnings("default", category=UserWarning, module="ditr_lite")
+            warnings.showwarning = _warn
+            return options.run(options) or 0
     except BAD_INPUT as error:
         return _report(f"error: {' '.join(str(error).split())}", 2)
     except MemoryError:
@@ -66,6 +71,11 @@ def parser() -> Parser:
         command.add_arguments(sub)
         sub.set_defaults(run=command.run)
     return top
+
+
+def _warn(message: Warning | str, category: type[Warning], *_) -> None:
+    """Print a warning as one line."""
+    print("ditr_lite: warning:", " ".join(str(message).split()), file=sys.stderr)
 
 
 def _report(text: str, code: int) -> int:

@@ -1,7 +1,10 @@
 """What scores: ``evaluate``, ``bench`` (also what each stage costs), ``bench-boundary`` and ``floor``."""
 
 import os
+import sys
+import traceback
 from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +37,23 @@ class Evaluate:
         p.add_argument(
             "--protocol", choices=PROTOCOLS, help="also score as that code does (cleargrasp's dataset: cleargrasp)"
         )
+        p.add_argument(
+            "--depth-scale",
+            type=real(0, float("inf"), "depth_scale should be metres per unit,"),
+            help="of --dataset folder: metres per unit (default: 0.001 of whole numbers, 1 of floats)",
+        )
+        p.add_argument("--skip-bad", action="store_true", help="leave out frames that cannot be used, and report them")
         add_scoring(p)
 
     @staticmethod
-    def run(options: Namespace) -> None:
-        """Print the tables."""
-        check_target(options.json, ".json")
+    def run(options: Namespace) -> int:
+        """Print the tables and return the exit code: 3 where frames were left out."""
+        check_results(options.json)
+        if options.depth_scale is not None and options.dataset != "folder":
+            raise ValueError("--depth-scale is of --dataset folder; the units of other datasets are known")
         source, frames = chosen_frames(options)
+        if options.skip_bad:
+            frames = Usable(frames, options.given_region)
         from ..evaluation import protocols, scoring
         from ..files import write_json
 
@@ -57,6 +70,10 @@ class Evaluate:
                 results, command_line(options), options.weights, protocol, **notes(source, options)
             )
             write_json(options.json, written)
+        skipped = frames.skipped if options.skip_bad else []
+        for reason in skipped:
+            print(f"ditr_lite: left out: {reason}", file=sys.stderr)
+        return 3 if skipped else 0
 
 
 class Bench:
@@ -76,12 +93,13 @@ class Bench:
         p.add_argument(
             "--runs", type=whole(), default=7, help="runs of a stage whose median is taken, 5 or more (%(default)s)"
         )
+        p.add_argument("--no-cost", action="store_true", help="only score, measure no time and memory")
         add_scoring(p)
 
     @staticmethod
     def run(options: Namespace) -> None:
         """Print the tables."""
-        check_target(options.json, ".json")
+        check_results(options.json)
         from ..baselines import REGISTRY
         from ..evaluation import latency, scoring
         from ..evaluation.own_method import find_methods
@@ -89,18 +107,18 @@ class Bench:
 
         if options.runs < latency.MIN_RUNS:  # now, not after everything has been scored
             raise ValueError(f"--runs should be at least {latency.MIN_RUNS}, got {options.runs}")
-        own = find_methods(options.method)
+        own = {name: within_its_lines(name, method) for name, method in find_methods(options.method).items()}
         source, frames = chosen_frames(options)
         ditr = load_system(options)
         methods = {**REGISTRY, **own}
         results = scoring.run_methods(frames, ditr, methods, options.given_region, options.steps, options.samples)
         print(f"{source}, region {'given' if options.given_region else 'found by stage one'}")
         print(scoring.format_report(scoring.summary(results)))
-        cost = costs(options, ditr, frames[0])
+        for name in own:
+            print(against_best(results, name, tuple(REGISTRY)))
+        more = notes(source, options) | ({} if options.no_cost else {"cost": costs(options, ditr, frames[0])})
         if options.json:
-            written = scoring.to_json(
-                results, command_line(options), options.weights, **notes(source, options), cost=cost
-            )
+            written = scoring.to_json(results, command_line(options), options.weights, **more)
             write_json(options.json, written)
 
 
@@ -121,7 +139,7 @@ class BenchBoundary:
     @staticmethod
     def run(options: Namespace) -> None:
         """Print the table."""
-        check_target(options.json, ".json")
+        check_results(options.json)
         from ..evaluation import boundary as boundary_scoring
 
         frames = scenes_of(options.split, options.root, options.limit)
@@ -148,7 +166,7 @@ class Floor:
     @staticmethod
     def run(options: Namespace) -> None:
         """Print the figures."""
-        check_target(options.json, ".json")
+        check_results(options.json)
         source, frames = chosen_frames(options)
         from ..files import write_json
         from ..store import read_card
@@ -161,6 +179,81 @@ class Floor:
             checksum = read_card(options.weights)["parts"]["autoencoder"]["sha256"]
             head = {"command": command_line(options), "weights_sha256": checksum, "source": source}
             write_json(options.json, {**head, **report})
+
+
+class Usable:
+    """Frames without those that cannot be used; why these cannot, ``skipped`` says after all were gone through."""
+
+    def __init__(self, frames: First, given_region: bool):
+        self.frames, self.given_region, self.skipped = frames, given_region, []
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __iter__(self) -> Iterator:
+        for index, name in enumerate(self.frames.names):
+            try:
+                sample = self.frames[index]
+            except (ValueError, OSError) as error:
+                self.skipped.append(f"{name}: {' '.join(str(error).split())}")
+                continue
+            lacks = "ground-truth depth" if sample.depth_gt is None else ""
+            lacks = lacks or ("a region" if self.given_region and sample.region is None else "")
+            lacks = lacks or ("" if sample.depth.any() else "any reading")
+            if lacks:
+                self.skipped.append(f"{name}: it has not {lacks}")
+            else:
+                yield sample
+
+
+def check_results(path: Path | None) -> None:
+    """Refuse a results file that could not be written, or would replace something else than results."""
+    check_target(path, ".json")
+    if path is None or not path.exists():
+        return
+    from ..files import read_json
+
+    try:
+        there = read_json(path)
+    except ValueError:
+        there = {}
+    if "command" not in there:
+        raise ValueError(f"{path} is there and holds something else than results: choose another name for --json")
+
+
+def within_its_lines(name: str, method: Callable) -> Callable:
+    """Return a reader's method whose errors say in one line where in their own file they arose."""
+
+    def call(*given):
+        try:
+            return method(*given)
+        except (ValueError, KeyboardInterrupt):
+            raise
+        except Exception as error:
+            package = str(Path(__file__).parents[1])
+            own = [step for step in traceback.extract_tb(error.__traceback__) if not step.filename.startswith(package)]
+            where = f"{Path(own[-1].filename).name}, line {own[-1].lineno}: " if own else ""
+            raise RuntimeError(f"your method {name!r} failed: {where}{type(error).__name__}: {error}") from error
+
+    return call
+
+
+def against_best(results: Sequence[dict], name: str, baselines: Sequence[str]) -> str:
+    """Return lines that compare a reader's method with the baseline that is best on each set, paired over frames."""
+    from ..evaluation.scoring import COMPARED
+    from ..evaluation.statistics import format_interval, paired_bootstrap
+
+    lines = [f"RMSE of {name} minus that of the best baseline, mm: mean [95 % interval], paired over frames"]
+    for key in COMPARED:
+        rmse = {m: [(s := (r["methods"][m] or {}).get(key)) and s["rmse"] for r in results] for m in (name, *baselines)}
+        means = {m: [v for v in rmse[m] if v is not None] for m in baselines}
+        means = {m: sum(values) / len(values) for m, values in means.items() if values}
+        if not means or not any(v is not None for v in rmse[name]):
+            continue
+        best = min(means, key=means.get)
+        interval = paired_bootstrap(rmse[name], rmse[best])
+        lines.append(f"  {key}: {format_interval(interval, 1000, '+.1f')} against {best}")
+    return "\n".join(lines)
 
 
 def add_scenes(p: ArgumentParser) -> None:
@@ -195,9 +288,10 @@ def chosen_frames(options: Namespace) -> tuple[str, First]:
         raise ValueError(f"unknown dataset {options.dataset!r}; choose one of {', '.join(REGISTRY)}")
     if options.root is None:
         raise ValueError(f"--dataset {options.dataset} needs --root DIR, the folder that holds it")
-    dataset = REGISTRY[options.dataset](options.root, options.split)
+    scale = {} if getattr(options, "depth_scale", None) is None else {"depth_scale": options.depth_scale}
+    dataset = REGISTRY[options.dataset](options.root, options.split, **scale)
     frames = First(dataset.names, dataset.__getitem__, options.limit)
-    if frames[0].depth_gt is None:
+    if not options.skip_bad and frames[0].depth_gt is None:
         raise ValueError(
             f"{options.dataset} in {options.root} has no ground-truth depth: nothing to score; see `complete`"
         )

@@ -6,7 +6,8 @@ Everything heavy is imported inside the functions, so that ``--help`` answers at
 import math
 import shlex
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from glob import glob
 from pathlib import Path
 
 SPLITS = (
@@ -149,6 +150,48 @@ def check_target(path: Path | None, *suffixes: str) -> None:
         raise ValueError(f"cannot write {path}: it is a folder")
     if blocked := [p for p in path.parents if p.exists() and not p.is_dir()]:
         raise ValueError(f"cannot write {path}: {blocked[0]} is a file, not a folder")
+
+
+def check_distinct(outputs: dict[str, Path | None], inputs: dict[str, Path | None]) -> None:
+    """Refuse a target that is an input, by whatever name, or another target: what is read is never destroyed."""
+    taken = [(name, path) for name, path in inputs.items() if path is not None]
+    for name, path in outputs.items():
+        if path is None:
+            continue
+        for other, there in taken:
+            if _same(path, there):
+                raise ValueError(f"{name} and {other} are the same file, {path}: choose another name for {name}")
+        taken.append((name, path))
+
+
+def _same(a: Path, b: Path) -> bool:
+    if a.exists() and b.exists():
+        return a.samefile(b)  # hard links, and names that differ in case only, too
+    return a.resolve() == b.resolve()
+
+
+def check_folder(folder: Path, whose: Callable[[Path], bool], what: str) -> None:
+    """Refuse a folder that holds something else than ``what``; ``whose`` tells of each entry whether it belongs."""
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is a file, not a folder")
+    strange = [path.name for path in sorted(folder.iterdir()) if not path.name.startswith(".") and not whose(path)]
+    if strange:
+        raise ValueError(f"{folder} holds something else than {what}, {strange[0]}: choose another folder")
+
+
+def frame_files(place: Path, endings: Sequence[str]) -> list[Path]:
+    """Return the files of a folder, or of a pattern with * or ?, with one of the endings in any case; none hidden.
+
+    Raises:
+        ValueError: when there is none.
+    """
+    entries = place.iterdir() if place.is_dir() else map(Path, glob(str(place)))
+    known = [p for p in entries if p.is_file() and p.suffix.lower() in endings and not p.name.startswith(".")]
+    if not known:
+        raise ValueError(f"no file in {place} ends in {', '.join(endings)}")
+    return sorted(known)
 
 
 def has_scenes(folder: Path) -> bool:

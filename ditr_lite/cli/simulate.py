@@ -2,9 +2,10 @@
 
 import os
 from argparse import ArgumentParser, Namespace
+from functools import partial
 from pathlib import Path
 
-from .shared import MAX_SEED, SPLITS, whole
+from .shared import MAX_SEED, SPLITS, check_folder, whole
 
 SHIPPED = (("test", 128, 4), ("val", 48, 2), ("train", 24, 2))  # data_samples: split, scenes, with infrared pair
 HOMES = (
@@ -53,9 +54,15 @@ def run(options: Namespace) -> None:
 
     home = Path("outputs/sensors") / options.sensor if options.sensor else Path("outputs/scenes")
     root = options.out or (SAMPLES if options.split is None else home)
+    for split, *_ in jobs:
+        check_folder(Path(root) / split, partial(_is_scene, split), f"scenes of {split}")
     for split, count, first_seed, infrared in jobs:
         paths = simulate_many(root, split, count, first_seed, workers, infrared, options.sensor)
         print(f"{Path(root) / split}: {len(paths)} scenes, {paths[0].name} to {paths[-1].name}")
+
+
+def _is_scene(split: str, path: Path) -> bool:
+    return path.is_dir() and path.name.startswith(f"{split}_")
 
 
 def export(options: Namespace) -> None:

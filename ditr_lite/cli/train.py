@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from .shared import MAKE_TRAIN, MAKE_VAL, check_scenes, command_line, has_scenes, real, seed, whole
+from .shared import MAKE_TRAIN, MAKE_VAL, check_folder, check_scenes, command_line, has_scenes, real, seed, whole
 
 TRAIN = (Path("outputs/scenes/train"), Path("outputs/scenes/rooms_train"))  # those that are there
 VAL = ("val", "rooms_val")  # shipped splits, likewise
@@ -69,6 +69,8 @@ class Train:
         tag = "-".join([options.preset, *([fitting.folder_name(settings)] if settings else [])])
         out = options.out or Path("outputs/weights") / tag
         work = options.work or Path("outputs/training") / tag
+        for folder in (out, work):
+            check_folder(folder, _is_of_training, "weights and checkpoints")
         for part in fitting.PARTS if options.part == "all" else [options.part]:
             recipe = replace(RECIPES[part], **changes(options))
             how = (options.limit, options.seed, options.boundary, options.start, command_line(options))
@@ -148,6 +150,11 @@ def folders(options: Namespace) -> tuple[list[Path], list[Path]]:
     check_scenes(data, MAKE_TRAIN)
     check_scenes(val, MAKE_VAL)
     return data, val
+
+
+def _is_of_training(path: Path) -> bool:
+    """Return whether something in a folder is of weights, results about them or checkpoints."""
+    return path.is_dir() or path.suffix in (".safetensors", ".json", ".jsonl", ".md", ".txt", ".log")
 
 
 def _setting(text: str) -> tuple[str, str]:

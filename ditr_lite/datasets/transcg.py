@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from ..data import OPAQUE, TRANSPARENT, Sample
-from ..files import read_depth, read_intrinsics, read_mask, read_rgb
-from .base import FrameFolder, described
+from ..files import read_depth, read_intrinsics, read_json, read_mask, read_rgb
+from .base import FrameFolder
 
 
 class TransCG(FrameFolder):
@@ -28,7 +28,7 @@ class TransCG(FrameFolder):
 
     def __init__(self, root: Path | str, split: str | None = None):
         metadata = Path(root) / "metadata.json"
-        self._scenes = described(metadata) if metadata.is_file() else {}
+        self._scenes = read_json(metadata) if metadata.is_file() else {}
         super().__init__(root, split)
         scenes = sorted({name.split("/")[0] for name in self.names})
         valid = {(scene, k): self._views(scene, sensor) for scene in scenes for k, (sensor, _) in self.sensors.items()}
@@ -42,7 +42,10 @@ class TransCG(FrameFolder):
 
     def in_split(self, name: str) -> bool:
         """Return whether the metadata lists the scene under the split."""
-        return int(name.split("/")[0].removeprefix("scene")) in self._scenes.get(self.split, ())
+        listed = self._scenes.get(self.split, [])
+        if not isinstance(listed, list):
+            raise ValueError(f"{self.root / 'metadata.json'} should list scenes under {self.split!r}, got {listed!r}")
+        return int(name.split("/")[0].removeprefix("scene")) in listed
 
     def read(self, name: str, stem: Path) -> Sample:
         """Read one frame."""
@@ -65,7 +68,7 @@ class TransCG(FrameFolder):
     def _views(self, scene: str, sensor: str) -> list[int]:
         """Return the views of a scene that its metadata calls valid for one camera."""
         path, key = self.root / scene / "metadata.json", f"{sensor}_valid_perspective_list"
-        views = described(path).get(key)
+        views = read_json(path).get(key)
         if not isinstance(views, list):
             raise ValueError(f"{path} should list the views under {key!r}, got {views!r}")
         return views

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from ..data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample
-from ..files import read_depth, read_rgb
-from .base import FrameFolder
+from ..files import read_depth, read_rgb, read_text
+from .base import FrameFolder, is_hidden
 
 
 class TROSD(FrameFolder):
@@ -27,8 +27,9 @@ class TROSD(FrameFolder):
     )
 
     def __init__(self, root: Path | str, split: str | None = None):
-        lists = sorted(Path(root).glob(f"{split}*.txt")) if split in self.splits else []
-        rows = [line.split() for path in lists for line in path.read_text().splitlines()]
+        found = sorted(Path(root).glob(f"{split}*.txt")) if split in self.splits else []
+        lists = [path for path in found if not is_hidden(path, Path(root))]
+        rows = [line.split() for path in lists for line in read_text(path).splitlines()]
         self._listed = {Path(row[0]).stem for row in rows if row} if lists else None  # a row begins with a file's path
         super().__init__(root, split)
 

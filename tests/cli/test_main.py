@@ -82,7 +82,7 @@ def refused(argv, capsys):
     return lines[0].removeprefix("ditr_lite: error: ")
 
 
-@pytest.mark.parametrize("suffix", [".png", ".npy", ".exr"])
+@pytest.mark.parametrize("suffix", [".png", ".PNG", ".tif", ".npy", ".exr"])
 def test_complete_writes_dense_depth_and_keeps_readings(frame, weights, tmp_path, suffix, capsys):
     out = tmp_path / "new" / f"c{suffix}"
     assert main(arguments(frame, weights, out, region=frame / "m.png")) == 0
@@ -153,7 +153,7 @@ def keep(folder):
         (keep, {"weights": "nowhere"}, "no weights in .*nowhere"),
         (keep, {"depth": "a.png"}, "should hold one depth channel"),
         (keep, {"ply": "c.ply"}, "--ply needs the camera"),
-        (keep, {"out": "c.tif"}, "cannot write .*c.tif: expected a name ending in .png, .npy, .exr"),
+        (keep, {"out": "c.bmp"}, "cannot write .*c.bmp: expected a name ending in .png, .tif, .tiff, .npy, .exr"),
         (keep, {"out": "in/a.png/c.png"}, "cannot write .*is a file, not a folder"),
         (keep, {"panel": "c.jpg"}, "cannot write .*c.jpg"),
         (keep, {"steps": 0}, "steps: expected at least 1, got 0"),
@@ -166,7 +166,7 @@ def keep(folder):
         (keep, {"out": None}, "arguments are required: --out"),
         (grey, {}, "a.png is a grey picture"),
         (rgba, {}, "a.png has four channels"),
-        (other_size, {}, r"b.png is \(32, 48\), .*a.png \(64, 96\)"),
+        (other_size, {}, r"b.png is \(32, 48\), .*a.png \(64, 96\).*give --upsample-depth"),
         (eight_bits, {}, "b.png has 8 bits a pixel"),
         (all_missing, {}, "b.png holds no valid depth"),
         (nothing_finite, {"depth": "b.npy"}, "b.npy holds no valid depth"),
@@ -216,7 +216,7 @@ def test_weights_that_do_not_fit_their_card_are_refused(frame, weights, tmp_path
     (copy / "card.json").write_text(json.dumps(card))
     assert "optical weights do not fit" in refused(arguments(frame, copy, tmp_path / "c.png"), capsys)
     (copy / "card.json").write_text("[]")
-    assert "lacks config or parts" in refused(arguments(frame, copy, tmp_path / "c.png"), capsys)
+    assert "should hold a JSON object" in refused(arguments(frame, copy, tmp_path / "c.png"), capsys)
 
 
 def test_evaluate_prints_tables_and_writes_json(scenes, weights, tmp_path, capsys):
