@@ -1,3 +1,9 @@
+import os
+import signal
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
 import cv2
 import numpy as np
 import OpenEXR
@@ -181,3 +187,99 @@ def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
         part.write_text("new")
         assert path.read_text() == "old" and part.suffix == ".txt"
     assert path.read_text() == "new" and list(tmp_path.iterdir()) == [path]
+
+
+# --- whole or not at all ----------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def full_disk(size):
+    """Let no file grow beyond ``size`` bytes, as on a disk that is full."""
+    resource = pytest.importorskip("resource", reason="file sizes cannot be limited here")
+    old_signal = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, old_signal)
+
+
+@pytest.mark.parametrize("suffix", files.DEPTH)
+def test_a_full_disk_is_an_error_and_leaves_the_old_file(tmp_path, suffix):
+    path = tmp_path / f"d{suffix}"
+    noise = np.random.default_rng(0).random((64, 64)).astype(np.float32) + 0.5
+    files.write_depth(path, np.ones((2, 2), np.float32))
+    before = path.read_bytes()
+    for size in (1, 100, 1000):
+        with full_disk(size), pytest.raises(OSError):
+            files.write_depth(path, noise)
+        assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+
+
+def test_two_writers_of_one_folder_leave_one_whole(tmp_path):
+    folder = tmp_path / "scene"
+
+    def write(mark):
+        for _ in range(10):
+            with files.folder_written_whole(folder) as part:
+                for name in "abc":
+                    (part / name).write_text(mark)
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(write, "wxyz"))
+    assert len({path.read_text() for path in folder.iterdir()}) == 1 and len(list(folder.iterdir())) == 3
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_an_interrupted_folder_leaves_the_old_one(tmp_path):
+    folder = tmp_path / "scene"
+    with files.folder_written_whole(folder) as part:
+        (part / "a").write_text("old")
+    with pytest.raises(KeyboardInterrupt), files.folder_written_whole(folder) as part:
+        (part / "a").write_text("new")
+        raise KeyboardInterrupt
+    assert (folder / "a").read_text() == "old" and list(tmp_path.iterdir()) == [folder]
+
+
+def test_a_lock_is_held_by_one_and_taken_over_when_it_was_left_behind(tmp_path, monkeypatch):
+    target, lock = tmp_path / "card.json", tmp_path / ".card.json.lock"
+    with files.locked(target):
+        assert lock.is_file()
+        monkeypatch.setattr(files, "LOCK_S", 0.05)
+        lock.touch()
+        os.utime(lock, (time.time() + 99, time.time() + 99))  # its holder is at work
+        with pytest.raises(ValueError, match="another process is writing"), files.locked(target):
+            pass
+        os.utime(lock, (1, 1))
+        with files.locked(target):
+            assert lock.is_file()
+    assert not lock.exists()
+
+
+@pytest.mark.parametrize("scale", [0.0001, 0.00025, 0.0002, 0.001, 0.002])
+def test_readings_leave_as_a_png_in_the_unit_in_which_they_came(tmp_path, scale):
+    units = (
+        np.random.default_rng(0).integers(1, int(5.0 / scale) if scale > 1e-4 else 60000, (40, 50)).astype(np.uint16)
+    )
+    came = save_image(tmp_path / "in.png", units)
+    files.write_depth(tmp_path / "out.png", files.read_depth(came, scale), files.unit_of(came, scale))
+    np.testing.assert_array_equal(files.read_array(tmp_path / "out.png"), units)
+
+
+def test_libraries_print_nothing_of_their_own(tmp_path, capfd):
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"Z": np.ones((40, 40), np.float32)}).write(str(tmp_path / "d.exr"))
+    capfd.readouterr()
+    for name, whole in {
+        "d.png": cv2.imencode(".png", np.ones((40, 40), np.uint16))[1].tobytes(),
+        "d.tif": cv2.imencode(".tif", np.ones((40, 40), np.uint16))[1].tobytes(),
+        "d.jpg": cv2.imencode(".jpg", np.ones((40, 40, 3), np.uint8))[1].tobytes(),
+        "d.exr": (tmp_path / "d.exr").read_bytes(),
+    }.items():
+        for share in (0.3, 0.6, 0.9):
+            (tmp_path / name).write_bytes(whole[: int(len(whole) * share)])
+            with pytest.raises(ValueError):
+                files.read_array(tmp_path / name)
+    assert capfd.readouterr() == ("", "")
