@@ -57,7 +57,7 @@ book: $(STAMP) ## all notebooks as web pages, in outputs/book
 samples: $(STAMP) ## render the shipped scenes again, into outputs/samples
 	$(PY) -m ditr_lite simulate --out outputs/samples $(ARGS)
 
-train: $(STAMP) ## train every part from the rendered scenes; replaces the shipped weights unless ARGS="--out FOLDER"
+train: $(STAMP) ## train every part from the rendered scenes, into outputs/weights/lite; elsewhere with ARGS="--out FOLDER"
 	$(PY) -m ditr_lite train --part all $(ARGS)
 
 bench: $(STAMP) ## score the shipped weights and every baseline on the whole test split

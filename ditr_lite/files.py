@@ -4,6 +4,7 @@ Every writer goes through a temporary name and a rename, so a file is there whol
 ValueError that names the file, what was expected and what came.
 """
 
+import ctypes
 import json
 import os
 import re
@@ -15,7 +16,7 @@ import uuid
 import warnings
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -258,7 +259,9 @@ def read_depth(path: Path | str, depth_scale: float | None = None, allow_empty: 
     """
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise ValueError(f"depth_scale should be metres per unit, e.g. 0.001 for millimetres, got {depth_scale!r}")
-    raw = one_channel(read_array(path))
+    raw = read_array(path)
+    if raw.dtype != np.uint8:  # of 8 bits, three channels are a colour picture, even a grey one
+        raw = one_channel(raw)
     if raw.ndim != 2:
         raise ValueError(f"{path} should hold one depth channel (H, W), got {raw.shape}: was the colour picture given?")
     if raw.dtype == np.uint8 or raw.dtype == bool:
@@ -546,6 +549,8 @@ def _quiet() -> Iterator[None]:
         os.dup2(nowhere, 2)
         yield
     finally:
+        with suppress(AttributeError, OSError, TypeError):  # what it printed waits in C's own buffer
+            ctypes.CDLL(None).fflush(None)
         for number, copy in enumerate(kept, 1):
             os.dup2(copy, number)
             os.close(copy)

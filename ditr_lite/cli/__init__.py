@@ -7,7 +7,7 @@ ends with exit code 2 and one line on stderr, an interruption with 130 and one l
 import sys
 import warnings
 from argparse import ArgumentParser
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from . import complete, evaluate, simulate, train
@@ -51,8 +51,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         options = parser().parse_args(argv)
         options.argv = argv
         with warnings.catch_warnings():
-            warnings.filterwarnings("default", category=UserWarning, module="ditr_lite")
-            warnings.showwarning = _warn
+            warnings.filterwarnings("always", category=UserWarning, module="ditr_lite")
+            warnings.showwarning = _warner()
             return options.run(options) or 0
     except BAD_INPUT as error:
         return _report(f"error: {' '.join(str(error).split())}", 2)
@@ -73,9 +73,17 @@ def parser() -> Parser:
     return top
 
 
-def _warn(message: Warning | str, category: type[Warning], *_) -> None:
-    """Print a warning as one line."""
-    print("ditr_lite: warning:", " ".join(str(message).split()), file=sys.stderr)
+def _warner() -> Callable[..., None]:
+    """Return what prints a warning as one line, each but once."""
+    said = set()
+
+    def warn(message: Warning | str, *_, **__) -> None:
+        text = " ".join(str(message).split())
+        if text not in said:
+            print("ditr_lite: warning:", text, file=sys.stderr)
+        said.add(text)
+
+    return warn
 
 
 def _report(text: str, code: int) -> int:

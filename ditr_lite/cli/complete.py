@@ -55,7 +55,7 @@ def add_arguments(p: ArgumentParser) -> None:
     )
     p.add_argument(
         "--depth-scale",
-        type=real(0, float("inf"), "depth_scale should be metres per unit,"),
+        type=real(0, float("inf"), "metres per unit"),
         help="metres per unit of depth (default: 0.001 where the file holds whole numbers, 1 where floats)",
     )
     p.add_argument(

@@ -39,7 +39,7 @@ class Evaluate:
         )
         p.add_argument(
             "--depth-scale",
-            type=real(0, float("inf"), "depth_scale should be metres per unit,"),
+            type=real(0, float("inf"), "metres per unit"),
             help="of --dataset folder: metres per unit (default: 0.001 of whole numbers, 1 of floats)",
         )
         p.add_argument("--skip-bad", action="store_true", help="leave out frames that cannot be used, and report them")
@@ -197,11 +197,13 @@ class Usable:
             except (ValueError, OSError) as error:
                 self.skipped.append(f"{name}: {' '.join(str(error).split())}")
                 continue
-            lacks = "ground-truth depth" if sample.depth_gt is None else ""
-            lacks = lacks or ("a region" if self.given_region and sample.region is None else "")
-            lacks = lacks or ("" if sample.depth.any() else "any reading")
-            if lacks:
-                self.skipped.append(f"{name}: it has not {lacks}")
+            there = {
+                "ground-truth depth": sample.depth_gt is not None,
+                "region": sample.region is not None or not self.given_region,
+                "reading": bool(sample.depth.any()),
+            }
+            if lacking := [what for what, is_there in there.items() if not is_there]:
+                self.skipped.append(f"{name}: it has no {lacking[0]}")
             else:
                 yield sample
 

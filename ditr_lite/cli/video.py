@@ -16,7 +16,7 @@ LONGEST = 30  # frames that a running mean reaches back
 AROUND = 9  # pixels of a neighbourhood that is compared, at 256 pixels of width
 STEP = 10.0  # grey levels of 255 by which a neighbourhood's mean may differ and still be the same
 DEPTH_STEP = 0.03  # share of the depth by which readings may differ, likewise
-BAND = 0.15  # of probability: a claim is dropped this much below the threshold at which it is made
+BAND = 0.05  # of probability: a claim is made this much above the threshold, and dropped this much below
 
 
 class Steady:

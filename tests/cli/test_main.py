@@ -118,7 +118,7 @@ def keep(folder):
         (keep, {"refine": "3,3"}, "refine: expected MEDIAN,DILATE,ITERATIONS"),
         (keep, {"samples": 0}, "samples: expected at least 1"),
         (keep, {"steps": "many"}, "invalid int value: 'many'"),
-        (keep, {"depth_scale": -1}, "depth_scale should be metres per unit"),
+        (keep, {"depth_scale": -1}, "depth-scale: expected metres per unit above 0, got -1"),
         (keep, {"out": None}, "arguments are required: --out"),
         (grey, {}, "a.png is a grey picture"),
         (rgba, {}, "a.png has four channels"),
