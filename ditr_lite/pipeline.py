@@ -398,7 +398,7 @@ class Ditr:
         frame, classes = self.classify(rgb, depth)
         probability = 1 - classes[0]
         claimed = probability > (self.config.refine.threshold if threshold is None else threshold)
-        region = self.refine(claimed, refine) & frame.picture  # the padding is no glass
+        region = self.refine(claimed & frame.picture, refine)  # the padding is no glass, and none grows out of it
         return frame.back(probability), frame.back(region)
 
     @torch.no_grad()

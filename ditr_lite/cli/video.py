@@ -95,7 +95,7 @@ class Steady:
             made = now > min(threshold + BAND, 0.99)
             claimed = np.where(still, np.where(self.claimed, ~dropped, made), claimed)
         self.probability, self.claimed = now, claimed
-        region = self.ditr.refine(claimed) & frame.picture
+        region = self.ditr.refine(claimed & frame.picture)
         return frame.back(now), frame.back(region)
 
 

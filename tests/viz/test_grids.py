@@ -260,3 +260,16 @@ def test_no_other_module_draws():
     imports = re.compile(r"^\s*(import|from) matplotlib", re.MULTILINE)
     drawing = [p for p in package.rglob("*.py") if imports.search(p.read_text(encoding="utf-8"))]
     assert {p.relative_to(package).as_posix() for p in drawing} == {"viz/grids.py", "viz/panels.py", "viz/studies.py"}
+
+
+@pytest.mark.parametrize("width", [480, 700])
+def test_every_map_of_a_saved_panel_is_wide_enough_and_outlined(tmp_path, sample, width):
+    std = np.full(sample.depth.shape, 0.01, np.float32)
+    maps = (sample.rgb, sample.depth, sample.depth_gt)
+    viz.save_panel(tmp_path / "with.png", *maps, sample.region, std, width=width)
+    viz.save_panel(tmp_path / "without.png", *maps, np.zeros_like(sample.region), std, width=width)
+    with_, without = (cv2.imread(str(tmp_path / f"{name}.png")).astype(int) for name in ("with", "without"))
+    assert with_.shape == without.shape and with_.shape[1] >= 4 * width
+    changed = np.abs(with_ - without).max(axis=2) > 60
+    quarters = np.array_split(changed, 4, axis=1)
+    assert all(quarter.sum() > 50 for quarter in quarters)
