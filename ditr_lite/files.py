@@ -45,7 +45,7 @@ LOCK_S = 60.0  # a lock that is older was left behind
 
 NO_READING = 65535  # the largest 16-bit number, which some recorders store for "nothing read", whatever their unit
 MASK_LEVEL = 100  # of 255: masks drawn with soft edges, as ClearGrasp's, are cut here
-SWAPPED = 1000  # median step between neighbours, in units, that no depth map has but one with swapped bytes
+SWAPPED = 30  # times that neighbours of swapped bytes differ more than they do when these are swapped back
 
 SIZES = (("xres", "yres"), ("width", "height"), ("image_width", "image_height"), ("w", "h"))  # of a camera's picture
 CENTRES = {"ppx": "cx", "ppy": "cy"}  # RealSense's names
@@ -309,8 +309,8 @@ def _refuse_swapped(path: Path | str, raw: np.ndarray) -> None:
     both = (raw[:, 1:] != 0) & (raw[:, :-1] != 0)
     if both.sum() < 16:
         return
-    steps = [np.median(np.abs(np.diff(a.astype(np.int64), axis=1))[both]) for a in (raw, raw.byteswap())]
-    if steps[0] > SWAPPED and 20 * steps[1] < steps[0]:
+    steps = [np.abs(np.diff(a.astype(np.int64), axis=1))[both].mean() for a in (raw, raw.byteswap())]
+    if steps[0] > SWAPPED * max(steps[1], 1):
         raise ValueError(f"{path} holds depth with its two bytes swapped: write it with the other byte order")
 
 
