@@ -483,7 +483,8 @@ def _decoded(kind: str, data: bytes) -> np.ndarray | None:
     if not data:
         return None
     try:  # from bytes: cv2.imread cannot open non-ASCII paths on Windows
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        with _quiet():
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         return None
     if image is None or (kind == "PPM" and len(data) < image.nbytes):
