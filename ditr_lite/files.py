@@ -4,7 +4,6 @@ Every writer goes through a temporary name and a rename, so a file is there whol
 ValueError that names the file, what was expected and what came.
 """
 
-import ctypes
 import json
 import os
 import re
@@ -16,8 +15,8 @@ import uuid
 import warnings
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from io import BytesIO
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
 
@@ -541,17 +540,16 @@ def _turned(path: Path, image: np.ndarray, orientation: int, turn: bool) -> np.n
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep off the terminal what a library written in C prints: what is wrong with a file, our own message says."""
+    """Keep off the terminal what a library prints: what is wrong with a file, our own message says."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     kept, nowhere = [os.dup(1), os.dup(2)], os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 1)
         os.dup2(nowhere, 2)
-        yield
+        with redirect_stdout(StringIO()), redirect_stderr(StringIO()):  # what its Python half prints
+            yield
     finally:
-        with suppress(AttributeError, OSError, TypeError):  # what it printed waits in C's own buffer
-            ctypes.CDLL(None).fflush(None)
         for number, copy in enumerate(kept, 1):
             os.dup2(copy, number)
             os.close(copy)
