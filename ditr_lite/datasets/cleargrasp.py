@@ -91,9 +91,8 @@ class ClearGraspSynthetic(FrameFolder):
 
 
 def _field_of_view(path: Path) -> tuple[float, float]:
-    held = read_json(path)
     try:
-        angles = held["camera"]["field_of_view"]
+        angles = read_json(path)["camera"]["field_of_view"]
         found = float(angles["x_axis_rads"]), float(angles["y_axis_rads"])
     except (KeyError, TypeError, ValueError):  # the public loaders fall back to the same camera
         return FIELD_OF_VIEW
