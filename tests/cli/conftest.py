@@ -31,7 +31,9 @@ def scenes(tmp_path_factory):
         for k in range(3):
             rgb = rng.integers(0, 255, (*SHAPE, 3), np.uint8)
             depth = np.where(rng.random(SHAPE) < 0.1, 0, truth + 0.03 * (material > 0)).astype(np.float32)
-            sample = data.Sample(f"{split}_{k:05d}", rgb, depth, truth, material > 0, material=material)
+            sample = data.Sample(
+                f"{split}_{k:05d}", rgb, depth, truth, material > 0, material=material, instances=material
+            )
             data.save_sample(sample, root / split / sample.name)
     return root
 
