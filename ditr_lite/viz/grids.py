@@ -31,6 +31,7 @@ from .panels import (
     difference_mm,
     error,
     labels,
+    outline,
     point_cloud_side,
     rgb,
     signed_error,
@@ -177,8 +178,11 @@ def save_panel(
     depth_out: np.ndarray,
     region: np.ndarray | None = None,
     std: np.ndarray | None = None,
+    width: int = 480,
 ) -> None:
-    """Write one row, colour with region | raw | completed | spread, as a PNG that is there whole or not at all.
+    """Write one row, colour | raw | completed | expected error, with the region outlined, as a PNG.
+
+    The file is there whole or not at all.
 
     Args:
         path: where to.
@@ -187,10 +191,19 @@ def save_panel(
         depth_out: (H, W) metres; the depth limits come from it.
         region: (H, W) bool or None.
         std: (H, W) metres or None.
+        width: of each map, in pixels at least; of a picture that is higher than wide, its height.
     """
     panels = [Panel("rgb", image, "input"), Panel("depth", depth_raw, "raw"), Panel("depth", depth_out, "completed")]
     if std is not None:
         panels.append(Panel("spread", std, "expected error"))
     figure = row(panels, region=region, limits=depth_limits(depth_out))
+    maps = figure.axes[: len(panels)]
+    if region is not None:
+        for ax in maps[1:]:
+            outline(ax, region)
+    figure.draw_without_rendering()
+    extents = [ax.get_window_extent() for ax in maps]
+    smallest = min(max(extent.width, extent.height) for extent in extents)
+    figure.set_dpi(figure.dpi * max(1.0, 1.01 * width / smallest))
     with written_whole(path) as part:
         part.write_bytes(figure.png())
