@@ -5,7 +5,7 @@ what the paper states (Sec. IV and V-B) wherever it states something.
 """
 
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 
 def _at_least(minimum: int, group: str, **values: int) -> None:
@@ -254,16 +254,16 @@ def _override(values: dict[str, Any], node: Any, path: list[str], value: Any, ke
         return _override(values[path[0]], old, path[1:], value, key)
     if is_dataclass(old):
         raise ValueError(f"setting {key!r} is a group; set one of {', '.join(key + '.' + f.name for f in fields(old))}")
-    values[path[0]] = _convert(value, old, key)
+    values[path[0]] = _convert(value, old, get_type_hints(type(node))[path[0]], key)
 
 
-def _convert(value: Any, old: Any, key: str) -> Any:
+def _convert(value: Any, old: Any, kind: Any, key: str) -> Any:
     try:
         if isinstance(old, bool):
             return {"true": True, "1": True, "false": False, "0": False}[str(value).lower()]
         if isinstance(old, tuple):
             parts = value.split(",") if isinstance(value, str) else value
-            return tuple(_number(p, type(old[0])) for p in parts)
+            return tuple(_number(p, get_args(kind)[0]) for p in parts)  # as declared: the old one may be empty
         return _number(value, type(old))
     except (KeyError, TypeError, ValueError):
         raise ValueError(f"setting {key!r} expects {type(old).__name__} like {old!r}, got {value!r}") from None

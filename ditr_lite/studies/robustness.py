@@ -306,9 +306,10 @@ def _completed(ditr: Ditr, frame: Sample, region: str) -> np.ndarray:
 
 def _error(depth: np.ndarray, frame: Sample, scale: float = 1.0) -> float | None:
     """Return the RMSE in the frame's region, divided by the scale; None where it holds no truth."""
-    if not (frame.region & (frame.depth_gt > 0)).any():
+    scored = frame.region & (frame.depth_gt > 0)
+    if not scored.any():
         return None
-    return round(metrics.rmse(depth, frame.depth_gt, frame.region) / scale, 6)
+    return round(metrics.rmse(depth[scored], frame.depth_gt[scored]) / scale, 6)
 
 
 def linear(frame: Sample) -> np.ndarray:
