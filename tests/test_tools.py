@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
-from ditr_lite.config import StdConfig, preset
+from ditr_lite.config import RefineConfig, StdConfig, preset
+from ditr_lite.data import list_samples, load_sample
 from ditr_lite.pipeline import Ditr, build
 from ditr_lite.store import save_part
 
@@ -165,27 +166,20 @@ def test_the_picture_shows_scenes_by_rank_and_cuts_them_to_what_matters():
 
 def test_calibration_fits_checks_and_enters_what_it_found(tmp_path, capsys):
     calibrate = load("calibrate")
-    config = replace(preset("tiny"), std=StdConfig(base=(0.5, 0.5)))
-    for name, part in build(config).items():
+    config = replace(preset("tiny"), std=StdConfig(base=(0.5, 0.5)), refine=RefineConfig(0, 0, 0))
+    parts, sample = build(config), load_sample(list_samples("val")[0])
+    _, classes = Ditr(parts, config).classify(sample.rgb, sample.depth)
+    parts["region"].classify.bias.data[0] += float(np.median(np.log((1 - classes[0]) / classes[0])))  # claims a half
+    for name, part in parts.items():
         save_part(name, part.state_dict(), config, tmp_path / "w", {})
-    argv = [
-        "--fit",
-        "val",
-        "--check",
-        "test",
-        "--limit",
-        "1",
-        "--weights",
-        tmp_path / "w",
-        "--json",
-        tmp_path / "c.json",
-    ]
+    argv = ["--fit", "val", "--check", "val", "--limit", "1"]
+    argv += ["--weights", tmp_path / "w", "--json", tmp_path / "c.json"]
     assert calibrate.main([*map(str, argv), "--enter"]) == 0
     result, entered = json.loads((tmp_path / "c.json").read_text()), Ditr.from_pretrained(tmp_path / "w").config
     assert entered.std == StdConfig(*(tuple(v) if isinstance(v, list) else v for v in result["std"].values()))
     assert entered.refine.temperature == result["refine"]["temperature"] > 0 and entered.std != config.std
     assert replace(entered, std=config.std, refine=config.refine) == config
-    assert result["frames"] == 1 and {"calibrated", "spread alone"} <= set(result)
+    assert result["val"]["frames"] == 1 and set(result["val"]["calibrated"]) == {"optical", "geometric", "kept"}
     assert result["command"].startswith("python tools/calibrate.py --fit val") and result["weights_sha256"]
     assert "for config.PRESETS" in capsys.readouterr().out
 
