@@ -1,7 +1,7 @@
 """Checkers of the exercises on the autoencoder: each prints a check mark, or a cross with the reason, and never raises.
 
-Exercises work in numpy on a few vectors (N, C) and a codebook (K, C). The right answers come from ``autoencoder`` and
-``floor``, which the pipeline and the committed figures use.
+Exercises work in numpy on a few vectors (N, C) and a codebook (K, C). The right answers come from ``autoencoder``,
+``conditioning`` and ``floor``, which the pipeline and the committed figures use.
 """
 
 import math
@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from ..autoencoder import VectorQuantizer, VQAutoencoder
+from ..conditioning import Bounds
 from ..config import AutoencoderConfig
 from ..studies.floor import perplexity
 from .checker import Function, check
@@ -58,6 +59,39 @@ def check_rate(attempt: Function) -> bool:
         "an index among K codes takes log2(K) bits, not K": lambda k, f: k / f**2,
     }
     return check("bits per pixel", attempt, right, [(2048, 4), (8192, 8), (64, 2)], mistakes)
+
+
+def check_units(attempt: Function) -> bool:
+    """Check ``attempt(depth (N,), low, high) -> (N,)``: metres to network units, logarithmic, compressed beyond."""
+
+    def right(depth, low, high):
+        return Bounds(low, high).normalise(depth)
+
+    def plain(depth, low, high):  # without the compression
+        return (np.log(depth) - np.log(low * high) / 2) * 2 / np.log(high / low)
+
+    def compressed(u, add=1.0):
+        return np.where(abs(u) > 1, np.sign(u) * (add + np.log(np.maximum(abs(u), 1))), u)
+
+    mistakes = {
+        "beyond the bounds u is compressed once more: sign(u) (1 + ln |u|)": plain,
+        "the map is clipped, so it cannot be inverted": lambda d, a, b: np.clip(plain(d, a, b), -1, 1),
+        "that is linear in depth: take logarithms first": lambda d, a, b: 2 * (d - a) / (b - a) - 1,
+        "that is linear in depth, compressed: take logarithms first": lambda d, a, b: compressed(
+            2 * (d - a) / (b - a) - 1
+        ),
+        "the middle m is sqrt(low high), not the mean of the two": lambda d, a, b: compressed(
+            (np.log(d) - np.log((a + b) / 2)) * 2 / np.log(b / a)
+        ),
+        "h is half of ln(high / low)": lambda d, a, b: compressed(plain(d, a, b) / 2),
+        "the sign is lost: below the bounds n is negative": lambda d, a, b: np.where(
+            abs(plain(d, a, b)) > 1, abs(right(d, a, b)), plain(d, a, b)
+        ),
+        "the 1 is missing, so the map jumps at the bounds": lambda d, a, b: compressed(plain(d, a, b), 0.0),
+        "the sign is reversed: low becomes -1": lambda d, a, b: -right(d, a, b),
+    }
+    depth = np.array([0.2, 0.5, 0.7, 0.85, 1.0, 1.3, 4.0, 10.0])
+    return check("network units", attempt, right, [(depth, 0.6, 1.2), (2 * depth[::-1], 0.9, 4.0)], mistakes)
 
 
 def check_nearest(attempt: Function) -> bool:

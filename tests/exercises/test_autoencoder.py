@@ -48,7 +48,20 @@ def calibrate(z):
     return flat.mean(1), 1 / np.sqrt(((flat - flat.mean(1)[:, None]) ** 2).sum(1) / (flat.shape[1] - 1))
 
 
+def units(depth, low, high):
+    n = []
+    for d in depth:
+        u = np.log(d / (low * high) ** 0.5) / (0.5 * np.log(high / low))
+        if u > 1:
+            u = 1 + np.log(u)
+        elif u < -1:
+            u = -1 - np.log(-u)
+        n.append(u)
+    return np.array(n)
+
+
 RIGHT = {
+    checks.check_units: units,
     checks.check_conv_size: conv_size,
     checks.check_rate: rate,
     checks.check_nearest: nearest,
@@ -90,7 +103,29 @@ def nan_entropy(c):
     return np.exp(-np.sum(p * np.log(p)))
 
 
+def bend(u, add=1):
+    """Compress what lies beyond -1 and 1."""
+    return [x if abs(x) <= 1 else np.sign(x) * (add + np.log(abs(x))) for x in u]
+
+
+def straight(d, a, b):
+    return np.log(d**2 / (a * b)) / np.log(b / a)
+
+
+def linear(d, a, b):
+    return (2 * d - a - b) / (b - a)
+
+
 MISTAKES = [
+    (checks.check_units, straight, "compressed once more"),
+    (checks.check_units, lambda d, a, b: np.minimum(np.maximum(straight(d, a, b), -1), 1), "clipped"),
+    (checks.check_units, linear, "linear in depth:"),
+    (checks.check_units, lambda d, a, b: bend(linear(d, a, b)), "linear in depth, compressed"),
+    (checks.check_units, lambda d, a, b: bend(2 * np.log(2 * d / (a + b)) / np.log(b / a)), "not the mean"),
+    (checks.check_units, lambda d, a, b: bend(straight(d, a, b) / 2), "half of ln"),
+    (checks.check_units, lambda d, a, b: np.where(d < a, -units(d, a, b), units(d, a, b)), "sign is lost"),
+    (checks.check_units, lambda d, a, b: bend(straight(d, a, b), 0), "1 is missing"),
+    (checks.check_units, lambda d, a, b: -units(d, a, b), "reversed"),
     (checks.check_conv_size, lambda n, k, s, p: (n + 2 * p - k) // s, "+ 1 is missing"),
     (checks.check_conv_size, lambda n, k, s, p: (n + p - k) // s + 1, "both sides"),
     (checks.check_conv_size, lambda n, k, s, p: (n + 2 * p) // s + 1, "subtract it"),
