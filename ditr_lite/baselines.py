@@ -128,30 +128,6 @@ REGISTRY: dict[str, Fill] = {
 }
 
 
-def compose(filled: np.ndarray, depth: np.ndarray, region: np.ndarray | None = None) -> np.ndarray:
-    """Return the estimate where it is needed, in the region and in holes, and the sensor's reading elsewhere.
-
-    Paper: Sec. IV-A, "Overview".
-
-    Args:
-        filled: (H, W) metres, dense.
-        depth: (H, W) metres, 0 = missing.
-        region: (H, W) bool; None for no region: only holes are filled.
-
-    Returns:
-        (H, W) float32 metres; readings outside the region bit for bit.
-
-    Raises:
-        ValueError: for shapes and dtypes that do not fit.
-    """
-    depth = check_depth("depth", depth)
-    filled = check_depth("filled", filled, depth.shape)
-    estimate = depth == 0
-    if region is not None:
-        estimate |= check_mask("region", region, depth.shape)
-    return np.where(estimate, filled, depth)
-
-
 def measure_bias(samples: Iterable[Sample]) -> float:
     """Return by how many metres surviving in-region readings are too far: the value to put into TRAIN_BIAS_M.
 

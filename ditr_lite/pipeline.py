@@ -362,19 +362,28 @@ class Ditr:
             views, bounds = self.look([small], plan.guides[0], False)
             mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
             return Painting(frame.back(mean[0]), geometric, frame.back(spread[0]), geometric_spread, ())
-        placed = choose_windows(region)
-        if placed:
-            side = self.config.window
-            frames = [fit((window.side, window.side), (side, side)) for window, _ in placed]
-            cuts = []
-            for (window, _), inner in zip(placed, frames, strict=True):
-                cuts.append(tuple(inner.into(window.cut(image)) for image in (rgb, depth, region)))
-            views, bounds = self.look(cuts, plan.guides[0], True)
+        close = self.close_ups(rgb, depth, region)
+        if close:
+            views, bounds = self.look([shown for *_, shown in close], plan.guides[0], True)
             mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
-            for i, ((window, pixels), inner) in enumerate(zip(placed, frames, strict=True)):
+            for i, (window, pixels, inner, _) in enumerate(close):
                 window.paste(inner.back(mean[i]), optical, pixels)
                 window.paste(inner.back(spread[i]), optical_spread, pixels)
-        return Painting(optical, geometric, optical_spread, geometric_spread, tuple(window for window, _ in placed))
+        return Painting(optical, geometric, optical_spread, geometric_spread, tuple(window for window, *_ in close))
+
+    def close_ups(
+        self, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray
+    ) -> list[tuple[Window, np.ndarray, Frame, tuple[np.ndarray, ...]]]:
+        """Return the windows of a region: each with the (H, W) bool pixels it paints, its frame and what it shows.
+
+        What it shows are rgb, depth and region, as :meth:`inpaint` takes them, at the size that the networks see.
+        """
+        side, found = self.config.window, []
+        for window, pixels in choose_windows(region):
+            inner = fit((window.side, window.side), (side, side))
+            shown = tuple(inner.into(window.cut(image)) for image in (rgb, depth, region))
+            found.append((window, pixels, inner, shown))
+        return found
 
     def look(self, pictures: list[tuple[np.ndarray, ...]], guide: int | None, around: bool) -> tuple[Views, Bounds]:
         """Turn pictures at network size into what a branch is given.

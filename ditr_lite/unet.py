@@ -8,13 +8,10 @@ x_t), ``features`` F(x), the result x_theta of Eq. 9 or, as trained, epsilon_the
 """
 
 import math
-from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-from torch.nn.attention import SDPBackend, sdpa_kernel
-from torch.utils.flop_counter import FlopCounterMode
 
 from .config import UNetConfig
 
@@ -25,14 +22,6 @@ STRIDE = 4  # pixels per latent cell and side (S5: sampling scale 4)
 def norm(channels: int) -> nn.GroupNorm:
     """Return group normalisation over groups of 8 channels."""
     return nn.GroupNorm(max(channels // 8, 1), channels)
-
-
-def count_flops(fn: Callable, *inputs, **kwargs) -> int:
-    """Count the floating-point operations of ``fn(*inputs)``, a module or any callable, as 2 per multiply-add."""
-    # the counter does not know the CPU's fused attention: take the one that is written as matrix products
-    with torch.no_grad(), sdpa_kernel(SDPBackend.MATH), FlopCounterMode(display=False) as counter:
-        fn(*inputs, **kwargs)
-    return counter.get_total_flops()
 
 
 def sinusoid(position: Tensor, channels: int, longest: float) -> Tensor:

@@ -269,9 +269,9 @@ METRICS = [
     *family(
         "averages and intervals",
         "evaluation/statistics",
-        ("interval: 90 per cent", "mean(axis=1), [2.5, 97.5]", "mean(axis=1), [5.0, 95.0]"),
-        ("interval of a ratio: 90 per cent", "over / under, [2.5, 97.5]", "over / under, [5.0, 95.0]"),
-        ("ratio: mean of ratios", "pairs[:, 0].mean() / pairs[:, 1].mean()", "(pairs[:, 0] / pairs[:, 1]).mean()"),
+        ("interval: 90 per cent", "nanpercentile(drawn, [2.5, 97.5])", "nanpercentile(drawn, [5.0, 95.0])"),
+        ("ratio: mean of ratios", "x.mean(axis=axis) / y.mean(axis=axis)", "(x / y).mean(axis=axis)"),
+        ("pairs are torn apart", '"paired": paired,', '"paired": False,'),
     ),
     *family(
         "audit of tables",

@@ -4,7 +4,7 @@ import torch
 
 from ditr_lite.config import DetailConfig, preset
 from ditr_lite.detail import CHANNELS, DILATIONS, ROUNDS, DetailNet, neighbours, propagate
-from ditr_lite.unet import count_flops
+from ditr_lite.evaluation.costs import count_flops
 
 
 def build():

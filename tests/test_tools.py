@@ -2,12 +2,18 @@
 
 import importlib.util
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import nbformat
 import numpy as np
 import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
+
+from ditr_lite.config import RefineConfig, StdConfig, preset
+from ditr_lite.data import list_samples, load_sample
+from ditr_lite.pipeline import Ditr, build
+from ditr_lite.store import save_part
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -156,3 +162,45 @@ def test_the_picture_shows_scenes_by_rank_and_cuts_them_to_what_matters():
     assert region[rows, cols].sum() == region.sum()
     assert 3 * (cols.stop - cols.start) == pytest.approx(4 * (rows.stop - rows.start), abs=4)
     assert rows.stop <= 192 and cols.stop <= 256 and rows.start > 50
+
+
+def test_calibration_fits_checks_and_enters_what_it_found(tmp_path, capsys):
+    calibrate = load("calibrate")
+    config = replace(preset("tiny"), std=StdConfig(base=(0.5, 0.5)), refine=RefineConfig(0, 0, 0))
+    parts, sample = build(config), load_sample(list_samples("val")[0])
+    _, classes = Ditr(parts, config).classify(sample.rgb, sample.depth)
+    parts["region"].classify.bias.data[0] += float(np.median(np.log((1 - classes[0]) / classes[0])))  # claims a half
+    for name, part in parts.items():
+        save_part(name, part.state_dict(), config, tmp_path / "w", {})
+    argv = ["--fit", "val", "--check", "val", "--limit", "1"]
+    argv += ["--weights", tmp_path / "w", "--json", tmp_path / "c.json"]
+    assert calibrate.main([*map(str, argv), "--enter"]) == 0
+    result, entered = json.loads((tmp_path / "c.json").read_text()), Ditr.from_pretrained(tmp_path / "w").config
+    assert entered.std == StdConfig(*(tuple(v) if isinstance(v, list) else v for v in result["std"].values()))
+    assert entered.refine.temperature == result["refine"]["temperature"] > 0 and entered.std != config.std
+    assert replace(entered, std=config.std, refine=config.refine) == config
+    assert result["val"]["frames"] == 1 and set(result["val"]["calibrated"]) == {"optical", "geometric", "kept"}
+    assert result["command"].startswith("python tools/calibrate.py --fit val") and result["weights_sha256"]
+    assert "for config.PRESETS" in capsys.readouterr().out
+
+
+def test_kept_readings_are_calibrated_by_what_stage_one_says():
+    calibrate = load("calibrate")
+    rng = np.random.default_rng(0)
+    depth, doubt = rng.uniform(0.5, 1, 20_000), rng.random(20_000)
+    error = depth * np.sqrt(0.01**2 + doubt * 0.05**2) * rng.normal(size=20_000)
+    rows = {name: np.stack([error, 0.01 * depth, depth, 0 * depth]) for name in ("optical", "geometric")}
+    std = calibrate.fitted_std(rows | {"kept": np.stack([error, 0 * depth, depth, doubt])})
+    assert std.missed == pytest.approx(0.05, rel=0.1) and std.kept == pytest.approx(0.01, abs=0.006)
+
+
+def test_the_disturbance_table_goes_into_the_readme():
+    readme = load("readme_results")
+    row = {"ratio": [1.1, 1.0, 1.2]}
+    sparse = {"ratio": [2.0, 1.9, 2.1], "of_linear": [0.8, 0.7, 0.9]}
+    table = {"turned by 90": {"found": row, "given": row}, "300 readings": {"found": sparse, "given": sparse}}
+    text = readme.disturbances({"command": "python x", "disturbances": {"rooms": {"frames": ["a"], "table": table}}})
+    assert "| rooms, 1 scenes |" in text and "| turned by 90 | 1.10 [1.00, 1.20] |" in text
+    assert "| 300 readings | 0.80 [0.70, 0.90] |" in text and "`python x`" in text
+    card = {"parts": {"a": {"steps": 2, "seconds": 60, "scenes": {"x": 3, "y": 4}}, "encoder": {"sha256": "0"}}}
+    assert "| a | 7 | 2 | 1 |" in readme.training(card) and "encoder" not in readme.training(card)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from ditr_lite.config import UNetConfig, preset
+from ditr_lite.evaluation.costs import count_flops
 from ditr_lite.unet import (
     Attention,
     CrossAttentionFeatureQuery,
@@ -12,7 +13,6 @@ from ditr_lite.unet import (
     DenoisingUNet,
     FeatureExtractor,
     Level,
-    count_flops,
     grid_code,
     sinusoid,
 )

@@ -7,7 +7,6 @@ in outputs/, the figures are committed and shown in notebook 03.
 """
 
 import argparse
-import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,11 +18,12 @@ import torch
 from ditr_lite.conditioning import CHANNELS
 from ditr_lite.config import Config, override, preset
 from ditr_lite.data import list_samples, load_sample
-from ditr_lite.files import write_json
+from ditr_lite.evaluation import results
+from ditr_lite.evaluation.costs import count_flops
 from ditr_lite.studies.floor import load_autoencoder, measure_floor
 from ditr_lite.training import parts as fitting
 from ditr_lite.training.recipes import RECIPES
-from ditr_lite.unet import STRIDE, DenoisingUNet, count_flops
+from ditr_lite.unet import STRIDE, DenoisingUNet
 
 MULTIPLIERS = {2: (1,), 4: (1, 2), 8: (1, 2, 4)}
 RATES = {8: 5e-4}  # at the recipe's rate the deepest one, which has no normalisation, never leaves the mean depth
@@ -32,10 +32,12 @@ RATES = {8: 5e-4}  # at the recipe's rate the deepest one, which has no normalis
 def step_flops(config: Config, factor: int) -> int:
     """Return the operations of one denoising step, of one sample and one branch, on latents of this factor.
 
-    F(x) is computed once a frame and not counted; it only has to fit, so it is made of an image of STRIDE latents.
+    F(x) is computed once a frame and not counted; it only has to fit, so it is made of an image of STRIDE latents, and
+    without a pretrained encoder's features, which change nothing of a step.
     """
     height, width = (n // factor for n in config.size)
-    net = DenoisingUNet(config.unet, config.autoencoder.latent_channels, len(CHANNELS)).eval()
+    bare = replace(config.unet, colour_channels=())
+    net = DenoisingUNet(bare, config.autoencoder.latent_channels, len(CHANNELS)).eval()
     with torch.no_grad():
         features = net.features(torch.zeros(1, len(CHANNELS), STRIDE * height, STRIDE * width))
     latents = torch.zeros(1, config.autoencoder.latent_channels, height, width)
@@ -49,7 +51,7 @@ def measure(factor: int, args: argparse.Namespace) -> dict[str, Any]:
     recipe = RECIPES["autoencoder"]
     recipe = replace(recipe, steps=args.steps, batch=args.batch, lr=RATES.get(factor, recipe.lr))
     out = args.work / f"f{factor}"
-    notes = fitting.train("autoencoder", config, args.data, args.val, out, out, recipe, args.limit)
+    notes = fitting.train("autoencoder", config, [args.data], [args.val], out, out, recipe, args.limit)
     model = load_autoencoder(out)
     depth = torch.zeros(1, 1, *config.size)
     names = list_samples(args.val.name, args.val.parent)
@@ -59,7 +61,7 @@ def measure(factor: int, args: argparse.Namespace) -> dict[str, Any]:
         "parameters": sum(p.numel() for p in model.parameters()),
         "seconds": notes["seconds"],
         "lr": recipe.lr,
-        "scenes": [notes["scenes"], notes["first_scene"], notes["last_scene"]],
+        "scenes": notes["scenes"],
         "encode_flop": count_flops(model.encode, depth),
         "decode_flop": count_flops(model.decode, model.encode(depth)),
         "step_flop": step_flops(config, factor),
@@ -80,16 +82,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, default=Path("outputs/scenes/train"))
     parser.add_argument("--val", type=Path, default=Path("data_samples/val"), help="measured here: test stays unseen")
     parser.add_argument("--work", type=Path, default=Path("outputs/factors"), help="weights; delete to start anew")
-    parser.add_argument("--json", type=Path, default=Path("ditr_lite/weights/results_factors.json"))
+    parser.add_argument("--json", type=Path, default=results.results_path("factors"))
     args = parser.parse_args(argv)
     rows = []
     for factor in args.factors:
-        rows.append(row := measure(factor, args))
+        row = measure(factor, args)
+        rows.append(row)
         rmse = {name: f"{1000 * row['floor']['rmse_m'][name][0]:.1f}" for name in ("edge", "interior")}
         print(f"f = {factor}: {row['seconds']:.0f} s, RMSE mm {rmse}, a step {row['step_flop'] / 1e9:.2f} GFLOP")
-    command = shlex.join(["python", "tools/compare_factors.py", *argv])
-    notes = {"command": command, "steps": args.steps, "batch": args.batch, "split": args.val.name}
-    write_json(args.json, notes | {"rows": rows})
+    begin = {"command": results.tool_command("compare_factors", argv), "versions": results.versions()}  # own weights
+    notes = {"steps": args.steps, "batch": args.batch, "split": args.val.name}
+    results.write(args.json, begin | notes, {"rows": rows})
     return 0
 
 

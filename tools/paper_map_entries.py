@@ -69,7 +69,7 @@ region.refine_region | test_region.py::test_refinement_agrees_with_the_naive_one
 refinement: median 7 × 7, then dilation 5 × 5 in 3 iterations
 
 S3 | done | 02_region_refinement | 6 · Train it as the paper says
-training.region_training.train_region | training/test_region_training.py::test_constants_are_the_papers
+training.as_the_paper.train_region | training/test_as_the_paper.py::test_constants_are_the_papers
 training of stage one: SGD, batch 16, momentum 0.9, weight decay 1e-4, 200 epochs, a mixed learning rate
 
 S4 | done | 02_region_refinement | 9 · Send the final error back through everything
@@ -193,7 +193,7 @@ peers.compare.methods | peers/test_compare.py::test_every_method_is_asked_about_
 SRD; the idea: segment what the sensor gets wrong, then regress (a peer, composed with the region)
 
 C4 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
-peers.networks.aligned | peers/test_networks.py::test_alignment_undoes_a_scale_and_a_shift
+evaluation.protocols.fitted | peers/test_networks.py::test_alignment_undoes_a_scale_and_a_shift
 MiDaS; the idea: depth from colour up to scale and shift
 
 C5 | done | 04_ddpm_math | Who asks whom?

@@ -8,7 +8,6 @@ python tools/train_peer.py $arm --minutes M; done`, BB (single_latent_diffusion)
 
 import argparse
 import multiprocessing
-import shlex
 import sys
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import torch
 from tqdm.auto import tqdm
 
 import ditr_lite as dl
-from ditr_lite.files import write_json
+from ditr_lite.evaluation import results
 from ditr_lite.peers import compare
 from ditr_lite.store import read_card
 
@@ -56,11 +55,11 @@ def main() -> None:
         name: {k: part[k] for k in ("arm", "minutes", "seed", "steps", "scenes", "sha256")}
         for name, part in card.items()
     }
-    report["weights_sha256"] = {name: part["sha256"] for name, part in read_card()["parts"].items()}
     for table in (compare.format_peers, compare.format_ablation, compare.format_oracles):
         print(table(report), end="\n\n")
-    command = shlex.join(["python", *sys.argv])
-    write_json(args.json, {"command": command, "split": args.split, "frames": len(scores), **report, "rmse_m": scores})
+    notes = {"split": args.split, "frames": len(scores)}
+    top = results.head(results.tool_command("peer_study", sys.argv[1:]), **notes)
+    results.write(args.json, top, {**report, "rmse_m": scores})
 
 
 if __name__ == "__main__":

@@ -81,7 +81,8 @@ def peers(result: dict) -> str:
     minutes = {part["arm"]: 0.0 for part in result["trained"].values()}
     for part in result["trained"].values():
         minutes[part["arm"]] += part["minutes"] * (part["seed"] == 0)
-    (scenes,), (each,) = {part["scenes"] for part in result["trained"].values()}, {round(m) for m in minutes.values()}
+    (scenes,) = {scene_count(part) for part in result["trained"].values()}
+    (each,) = {round(m) for m in minutes.values()}
     lines = [
         f"**Learned peers at equal training time.** One small network for one idea of the compared systems each, "
         f"trained on the same {scenes} scenes for {each} minutes of one core, as were the networks of "
@@ -113,11 +114,34 @@ def costs(result: dict) -> str:
         height, width = frame["size"]
         takes.append(f"{width} x {height}: {whole['ms']:.0f} ms, peak memory {whole['peak_mb']:.0f} MB")
     ours, theirs = (cost["unets"][name]["ms_per_gflop"] for name in ("ours", "diffusers"))
+    product = cost["machine"].get("product_ms")
+    beside = f" A product of two float32 matrices 2048 x 2048 takes {product:.0f} ms there." if product else ""
     return (
         f"**What a frame costs**, on {cost['machine']['cores']} cores of one machine, median "
         f"of {cost['runs']} runs: {'; '.join(takes)}. The denoiser takes {ours:.1f} ms a GFLOP, diffusers' U-Net of "
-        f"its size {theirs:.1f}. Other machines differ by factors: `python -m ditr_lite bench` measures yours."
+        f"its size {theirs:.1f}.{beside} Other machines differ by factors: `python -m ditr_lite bench` measures yours."
     )
+
+
+def disturbances(result: dict) -> str:
+    """Return the table of what disturbances cost, a split after the other."""
+    lines = [
+        "**What disturbances cost**: optical RMSE of the disturbed over that of the undisturbed frame, on the same "
+        "pixels (sparse readings: over linear interpolation between them), mean and 95 % interval, paired over scenes.",
+    ]
+    for split, part in result["disturbances"].items():
+        lines += ["", f"| {split}, {len(part['frames'])} scenes | region found | region given |", "|---|---:|---:|"]
+        for name, row in part["table"].items():
+            key = "of_linear" if "of_linear" in row["found"] else "ratio"
+            cells = [format_interval(row[region][key], 1, ".2f", "–") for region in ("found", "given")]
+            lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join([*lines, "", f"Command: `{result['command']}`."])
+
+
+def scene_count(part: dict) -> int:
+    """Return how many scenes a part was trained on: its card says it in one number or in one a group of scenes."""
+    scenes = part["scenes"]
+    return sum(scenes.values()) if isinstance(scenes, dict) else scenes
 
 
 def training(card: dict) -> str:
@@ -130,8 +154,11 @@ def training(card: dict) -> str:
     ]
     for name, part in card["parts"].items():
         nets = [part] if "steps" in part else [value for value in part.values() if isinstance(value, dict)]
+        nets = [net for net in nets if "steps" in net]
+        if not nets:  # taken over as it is
+            continue
         steps, minutes = sum(net["steps"] for net in nets), sum(net["seconds"] for net in nets) / 60
-        lines.append(f"| {name} | {part['scenes']:,} | {steps:,} | {minutes:.0f} |")
+        lines.append(f"| {name} | {scene_count(part):,} | {steps:,} | {minutes:.0f} |")
     return "\n".join(lines)
 
 
@@ -153,6 +180,11 @@ def main() -> None:
     bench = args.json.with_name("results_bench.json")
     if bench.is_file():
         made += "\n\n" + costs(json.loads(bench.read_text(encoding="utf-8")))
+    robust = args.json.with_name("results_robustness.json")
+    if robust.is_file():
+        found = json.loads(robust.read_text(encoding="utf-8"))
+        if found.get("disturbances"):
+            made += "\n\n" + disturbances(found)
     made += "\n\n" + training(read_card())
     args.readme.write_text(f"{before}{START}\n{made}\n{END}{after}", encoding="utf-8")
 

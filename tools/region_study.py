@@ -10,21 +10,20 @@ straight through, at two weights.
 
 import argparse
 import copy
-import shlex
 import sys
 from pathlib import Path
 
 import numpy as np
+from torch import nn
 from tqdm.auto import tqdm
 
 import ditr_lite as dl
 from ditr_lite.config import RefineConfig
-from ditr_lite.evaluation import stage_one, statistics
-from ditr_lite.files import write_json
-from ditr_lite.store import WEIGHTS, read_card
+from ditr_lite.evaluation import results, stage_one
+from ditr_lite.evaluation.statistics import bootstrap_mean, format_interval, interval, paired_bootstrap
 from ditr_lite.studies import regions
 from ditr_lite.training import finetune
-from ditr_lite.training.batches import load_scenes
+from ditr_lite.training.scenes import load_scenes
 
 ROOT = Path(__file__).resolve().parents[1]
 OFFSETS = (-4, -2, -1, 0, 1, 2, 4)
@@ -53,25 +52,23 @@ def study_refinement(ditr, samples) -> dict:
 
 def study_finetuning(ditr, samples, data: Path, limit: int, steps: int, batch: int, seed: int) -> dict:
     """Return the measures of the validation scenes before and after each variant, and the paired differences."""
-    scenes = load_scenes(data, limit, "classical")
-    painted = finetune.paint_once(ditr.parts, scenes, ditr.config, seed)
-    original = ditr.parts["region"]
+    scenes = load_scenes(data, limit)
+    paints = finetune.whole_frames(finetune.frame_painters(ditr.parts, ditr.config), ditr.config, seed)
     before = measure(ditr, samples)
     out = {"scenes": len(scenes), "steps": steps, "batch": batch, "rate": finetune.RATE, "seed": seed, "before": before}
     for name, (weight, straight_through) in VARIANTS.items():
-        model = copy.deepcopy(original)
-        curve = finetune.finetune_region(
-            model, scenes, painted, ditr.config.refine, steps, weight, straight_through, batch, seed=seed
-        )
-        ditr.parts["region"] = model
-        after = measure(ditr, samples)
+        model = copy.deepcopy(ditr.parts["region"])
+        how = {"batch": batch, "seed": seed}
+        curve = finetune.finetune_region(model, scenes, paints, ditr.config, steps, weight, straight_through, **how)
+        model.eval().requires_grad_(False)
+        tuned = dl.Ditr(nn.ModuleDict({**ditr.parts, "region": model}), ditr.config)
+        after = measure(tuned, samples)
         first, last = (
             np.mean([r["rmse_m"] for r in part]) for part in (curve[: steps // 4 or 1], curve[-steps // 4 :])
         )
-        changes = {k: _interval(statistics.paired_bootstrap, after[k], before[k]) for k in MEASURED}
+        changes = {k: interval(paired_bootstrap, after[k], before[k], digits=5) for k in MEASURED}
         out[name] = {"rmse_weight": weight, "straight_through": straight_through, "after": after, "change": changes}
         out[name]["training_rmse_m"] = [round(float(first), 5), round(float(last), 5)]
-    ditr.parts["region"] = original
     return out
 
 
@@ -83,7 +80,7 @@ def measure(ditr, samples) -> dict[str, list]:
         scores = dl.metrics.evaluate(out.depth, s.depth_gt, s.region, s.depth)
         row = {f"{k}_m": scores[k] and scores[k]["rmse"] for k in ("optical", "whole")}
         row |= stage_one.mask_errors(out.region, s.region)
-        row["iou"] = dl.metrics.iou(out.probability > 0.5, s.region)
+        row["iou"] = dl.metrics.iou(out.probability > ditr.config.refine.threshold, s.region)
         for key, value in row.items():
             values[key].append(_round(value))
     return values
@@ -98,23 +95,21 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, default=150, help="of fine-tuning, per variant (%(default)s)")
     parser.add_argument("--batch", type=int, default=4, help="scenes a step; the paper's is 16 (%(default)s)")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path, default=WEIGHTS / "results_region.json", help="file to write")
+    parser.add_argument("--json", type=Path, default=results.results_path("region"), help="file to write")
     args = parser.parse_args(arguments)
     ditr = dl.Ditr.from_pretrained()
     samples = [dl.load_sample(name) for name in dl.list_samples("val")[: args.val]]
     samples = [s for s in samples if s.region.any()]
     words = sys.argv[1:] if arguments is None else arguments
-    result = {
-        "command": shlex.join(["python", "tools/region_study.py", *words]),
-        "weights_sha256": {name: part["sha256"] for name, part in read_card()["parts"].items()},
-        "shipped": "/".join(str(getattr(ditr.config.refine, k)) for k in ("median", "dilate", "iterations")),
-        "names": [s.name for s in samples],
+    shipped = "/".join(str(getattr(ditr.config.refine, k)) for k in ("median", "dilate", "iterations"))
+    begin = results.head(results.tool_command("region_study", words), shipped=shipped, names=[s.name for s in samples])
+    found = {
         "errors": study_errors(ditr, samples),
         "refinement": study_refinement(ditr, samples),
         "finetuning": study_finetuning(ditr, samples, args.data, args.limit, args.steps, args.batch, args.seed),
     }
-    write_json(args.json, result)
-    print(report(result))
+    results.write(args.json, begin, found)
+    print(report(begin | found))
     return 0
 
 
@@ -123,10 +118,11 @@ def report(result: dict) -> str:
     lines = [f"{len(result['names'])} validation scenes; metres and shares, mean [95 % interval]"]
     for part in ("errors", "refinement"):
         for name, row in result[part].items():
-            lines.append(f"{part} {name:8} " + ", ".join(f"{k} {_text(v['mean'])}" for k, v in row.items()))
+            cells = (f"{k} {format_interval(v['mean'], 1, '.3f')}" for k, v in row.items())
+            lines.append(f"{part} {name:8} " + ", ".join(cells))
     for name in VARIANTS:
         change = result["finetuning"][name]["change"]
-        lines.append(f"{name}: " + ", ".join(f"{k} {_text(v, True)}" for k, v in change.items()))
+        lines.append(f"{name}: " + ", ".join(f"{k} {format_interval(v, 1, '+.3f')}" for k, v in change.items()))
     return "\n".join(lines)
 
 
@@ -135,26 +131,13 @@ def _table(rows: dict, names: list[str], keys: tuple[str, ...]) -> dict:
     for k, name in enumerate(names):
         each = {key: [_round(row[k][key]) for row in rows.values()] for key in keys}
         table[name] = {
-            key: {"mean": _interval(statistics.bootstrap_mean, values), "scenes": values}
-            for key, values in each.items()
+            key: {"mean": interval(bootstrap_mean, values, digits=5), "scenes": values} for key, values in each.items()
         }
     return table
 
 
-def _interval(bootstrap, *values) -> list[float] | None:
-    try:
-        return [_round(x) for x in bootstrap(*values)]
-    except ValueError:  # no scene has it
-        return None
-
-
 def _round(value: float | None) -> float | None:
     return value if value is None else round(value, 5)
-
-
-def _text(interval: list[float] | None, signed: bool = False) -> str:
-    style = "+.3f" if signed else ".3f"
-    return "-" if interval is None else "{} [{}, {}]".format(*(format(x, style) for x in interval))
 
 
 if __name__ == "__main__":

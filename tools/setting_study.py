@@ -7,12 +7,11 @@ run trains nothing twice.
 """
 
 import argparse
-import shlex
 import sys
 from pathlib import Path
 
-from ditr_lite.files import write_json
-from ditr_lite.studies import settings
+from ditr_lite.evaluation import results
+from ditr_lite.studies import trials
 from ditr_lite.studies.experiment import QUICK
 
 
@@ -23,22 +22,23 @@ def main() -> None:
     parser.add_argument("--limit", type=int, help="train on the first scenes only")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--folder", type=Path, default=Path("outputs/weights"))
-    parser.add_argument("--json", type=Path, default=settings.RESULTS)
+    parser.add_argument("--json", type=Path, default=results.results_path("settings"))
     args = parser.parse_args()
-    notes = {
-        "command": shlex.join(["python", *sys.argv]),
+    begin = {  # no shipped weights: everything is trained here
+        "command": results.tool_command("setting_study", sys.argv[1:]),
+        "versions": results.versions(),
         "split": "val",
         "steps": {part: recipe.steps for part, recipe in QUICK.items()},
     }
-    rows = settings.run(
+    rows = trials.try_settings(
         seeds=args.seeds,
-        save=lambda rows: write_json(args.json, {**notes, "rows": rows}),
+        save=lambda rows: results.write(args.json, begin, {"rows": rows}),
         data=args.data,
         folder=args.folder,
         limit=args.limit,
     )
     for name in rows:
-        gain = settings.against_default(rows, name)
+        gain = trials.against_default(rows, name)
         print(f"{name:30}{1000 * gain.mean:+7.1f} mm [{1000 * gain.low:+.1f}, {1000 * gain.high:+.1f}]")
 
 

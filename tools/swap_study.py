@@ -8,13 +8,11 @@ paired over frames. The breakdown beside the paper's Table V is the default's.
 """
 
 import argparse
-import shlex
 import sys
 from pathlib import Path
 
 import ditr_lite as dl
-from ditr_lite.files import write_json
-from ditr_lite.store import WEIGHTS, read_card
+from ditr_lite.evaluation import results
 from ditr_lite.studies import swaps
 
 
@@ -26,7 +24,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--limit", type=int, default=112, help="only the first of them (%(default)s)")
     parser.add_argument("--draws", type=int, default=1, help="samples a frame (%(default)s)")
     parser.add_argument("--weights", type=Path, help="weights folder (the shipped one)")
-    parser.add_argument("--json", type=Path, default=WEIGHTS / "results_swaps.json", help="file to write")
+    parser.add_argument("--json", type=Path, default=results.results_path("swaps"), help="file to write")
     args = parser.parse_args(arguments)
     ditr = dl.Ditr.from_pretrained(args.weights)
     samples = [dl.load_sample(name) for name in dl.list_samples(args.split)[: args.limit]]
@@ -38,21 +36,13 @@ def main(arguments: list[str] | None = None) -> int:
         }
         for k, sample in enumerate(samples)
     }
-    report = swaps.summary(rows)
-    result = {
-        "command": shlex.join(["python", "tools/swap_study.py", *arguments]),
-        "weights_sha256": {name: part["sha256"] for name, part in read_card(args.weights)["parts"].items()},
-        "split": args.split,
-        "images": len(samples),
-        "draws": args.draws,
-        "summary": report,
-        "breakdown": swaps.breakdown(rows["default"]),
-        "rmse_m": frames,
-    }
-    write_json(args.json, result)
+    report, breakdown = swaps.summary(rows), swaps.breakdown(rows["default"])
+    notes = {"split": args.split, "images": len(samples), "draws": args.draws}
+    begin = results.head(results.tool_command("swap_study", arguments), args.weights, **notes)
+    results.write(args.json, begin, {"summary": report, "breakdown": breakdown, "rmse_m": frames})
     print(f"{len(samples)} frames of the {args.split} split, RMSE")
     print(swaps.format_swaps(report, swaps.SCORED))
-    print(swaps.beside_table_v(result["breakdown"]))
+    print(swaps.beside_table_v(breakdown))
     return 0
 
 

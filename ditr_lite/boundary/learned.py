@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..conditioning import depth_bounds, to_tensor
+from ..conditioning import to_tensor
 from ..region import Encoder
 from ..store import fingerprint, load_part
 from .classical import drop_small, is_depth
@@ -22,6 +22,7 @@ MODES = {"rgb": 3, "depth": 3}  # input channels
 WIDTH, LEVELS = 16, 4
 MULTIPLE = 2**LEVELS  # of H and W
 RELIEF = 8.0  # gain: a step of a centimetre is a few hundredths of a network unit
+LEAST_SPAN_M = 0.15  # of a frame's depth: one flat wall
 
 
 class BoundaryNet(nn.Module):
@@ -56,31 +57,53 @@ def _conv(channels_in: int, channels: int) -> nn.Sequential:
     return nn.Sequential(conv, nn.GroupNorm(8, channels), nn.ReLU())
 
 
-def build() -> nn.ModuleDict:
+def build_nets() -> nn.ModuleDict:
     """Return the two untrained networks, ``rgb`` and ``depth``."""
     return nn.ModuleDict({mode: BoundaryNet(channels) for mode, channels in MODES.items()})
 
 
-def begin_with_stage_one(nets: nn.ModuleDict, region: dict[str, Tensor]) -> None:
-    """Copy stage one's two encoders, which have learned to tell glass from table, into the networks.
+def begin_with_stage_one(nets: nn.ModuleDict, region: dict[str, Tensor]) -> list[str]:
+    """Copy what stage one's encoders have learned of telling glass from table into networks whose encoders are alike.
 
     Args:
-        nets: from :func:`build`; changed in place. The depth network's third channel, relief, begins with zeros.
-        region: the tensors of ``region.safetensors``.
+        nets: from :func:`build_nets`; changed in place. The depth network's third channel, relief, begins with zeros.
+        region: the tensors of ``region.safetensors``; an encoder of other sizes, or a pretrained one, is left out.
 
-    Raises:
-        ValueError: when stage one has other sizes.
+    Returns:
+        the names of the networks that begin so.
     """
+    begun = []
     for mode, net in nets.items():
-        own, start = net.encoder.state_dict(), f"encoder_{mode}."
+        start = f"encoder_{mode}."
+        own = net.encoder.state_dict()
         given = {k.removeprefix(start): v.clone() for k, v in region.items() if k.startswith(start)}
         for key in own.keys() & given.keys():
-            if (more := own[key].ndim == 4 and own[key].shape[1] - given[key].shape[1]) > 0:
+            more = own[key].ndim == 4 and own[key].shape[1] - given[key].shape[1]
+            if more > 0:
                 given[key] = F.pad(given[key], (0, 0, 0, 0, 0, more))
-        try:
+        alike = own.keys() == given.keys() and all(own[k].shape == given[k].shape for k in own)
+        if alike:
             net.encoder.load_state_dict(given)
-        except RuntimeError:  # torch's message is a page of tensor names
-            raise ValueError("stage one's encoders are of other sizes: boundaries are trained beside lite") from None
+            begun.append(mode)
+    return begun
+
+
+def linear_units(depth: np.ndarray) -> np.ndarray:
+    """Return depth (H, W) in metres as the depth network was trained to see it, (H, W) float32.
+
+    Linear, unlike ``conditioning.Bounds``: the 2nd and 98th percentile of the readings, widened downwards by a quarter
+    of their span and upwards by a tenth, become -1 and 1. The networks were trained so, and for outlines it serves:
+    what squeezes the range, a room behind the table, is far from the outlines that count, and relief is clipped anyway.
+
+    Args:
+        depth: (H, W) metres, 0 = missing, with at least one reading.
+    """
+    low, high = (float(q) for q in np.percentile(depth[depth > 0], [2, 98]))
+    spare = max(LEAST_SPAN_M - (high - low), 0) / 2
+    low, high = low - spare, high + spare
+    span = high - low
+    low, high = low - 0.25 * span, high + 0.10 * span
+    return ((depth - low) * (2 / (high - low)) - 1).astype(np.float32)
 
 
 def depth_image(depth_n: Tensor, valid: Tensor) -> Tensor:
@@ -90,12 +113,18 @@ def depth_image(depth_n: Tensor, valid: Tensor) -> Tensor:
     beside the range of the frame becomes large.
 
     Args:
-        depth_n: (B, 1, H, W) normalised depth, anything where not valid.
+        depth_n: (B, 1, H, W) depth in :func:`linear_units`, anything where not valid.
         valid: (B, 1, H, W) 0/1.
     """
     depth_n = (depth_n * valid).clamp(-2, 2)
     mean = F.avg_pool2d(depth_n, 9, 1, 4) / F.avg_pool2d(valid, 9, 1, 4).clamp(min=1e-6)
     return torch.cat([depth_n, valid, RELIEF * (depth_n - mean).clamp(-0.25, 0.25) * valid], dim=1)
+
+
+def depth_input(depth: np.ndarray) -> Tensor:
+    """Return what the depth network looks at, (1, 3, H, W), of depth (H, W) in metres with at least one reading."""
+    valid = torch.from_numpy((depth > 0).astype(np.float32))[None, None]
+    return depth_image(torch.from_numpy(linear_units(depth))[None, None], valid)
 
 
 def thin(probability: np.ndarray, threshold: float, min_length: int = 8) -> np.ndarray:
@@ -125,7 +154,7 @@ class LearnedBoundary:
     """The trained networks as a backend.
 
     Args:
-        nets: as :func:`build` makes them.
+        nets: as :func:`build_nets` makes them.
         thresholds: probability above which a pixel is a boundary, per mode.
     """
 
@@ -156,9 +185,7 @@ class LearnedBoundary:
         if mode == "depth":
             if not (image > 0).any():
                 return np.zeros((height, width), np.float32)
-            valid = torch.from_numpy((image > 0).astype(np.float32))[None, None]
-            depth_n = depth_bounds(image).normalise(image).astype(np.float32)
-            x = depth_image(torch.from_numpy(depth_n)[None, None], valid)
+            x = depth_input(image)
         else:
             x = to_tensor(image[None])
         x = F.pad(x, (0, -width % MULTIPLE, 0, -height % MULTIPLE), mode="replicate")
@@ -173,7 +200,7 @@ def load(path: Path | str | None = None) -> LearnedBoundary:
         ValueError: when there are none, or they are damaged or of other sizes.
     """
     try:
-        state, nets = load_part("boundary", path), build()
+        state, nets = load_part("boundary", path), build_nets()
     except ValueError as error:
         raise ValueError(f"{error} (this part by `python -m ditr_lite train-boundary`)") from None
     thresholds = state.pop("thresholds", torch.empty(0))

@@ -1,6 +1,5 @@
 """What ``bench`` of ``python -m ditr_lite`` does: accuracy, time, memory, operations and training speed."""
 
-import os
 from argparse import Namespace
 from typing import Any
 
@@ -11,12 +10,12 @@ def bench(args: Namespace) -> None:
     """Score every method on a split, a reader's own included, and measure what each stage costs."""
     check_target(args.json, ".json")
     from ..baselines import REGISTRY
-    from ..evaluation import latency, scoring
+    from ..evaluation import scoring, timing
     from ..evaluation.own_method import find_methods
     from ..files import write_json
 
-    if args.runs < latency.MIN_RUNS:  # now, not after everything has been scored
-        raise ValueError(f"--runs should be at least {latency.MIN_RUNS}, got {args.runs}")
+    if args.runs < timing.MIN_RUNS:  # now, not after everything has been scored
+        raise ValueError(f"--runs should be at least {timing.MIN_RUNS}, got {args.runs}")
     own = find_methods(args.method)
     source, frames = chosen_frames(args)
     ditr = load_system(args)
@@ -31,30 +30,25 @@ def bench(args: Namespace) -> None:
 
 def costs(args: Namespace, ditr, sample) -> dict[str, Any]:
     """Measure and print time, memory and operations at both frame sizes, the yardstick and training speed."""
-    import torch
+    from ..evaluation import timing
 
-    from ..evaluation import latency, memory, yardstick
-
-    found: dict[str, Any] = {
-        "machine": {"cores": os.cpu_count(), "threads": torch.get_num_threads(), "torch": torch.__version__},
-        "runs": args.runs,
-        "frames": [],
-    }
-    for frame in (sample, latency.enlarged(sample)):
+    found: dict[str, Any] = {"machine": timing.machine(), "runs": args.runs, "frames": []}
+    print(f"\na product of two float32 matrices 2048 x 2048 takes {found['machine']['product_ms']:.0f} ms here")
+    for frame in (sample, timing.enlarged(sample)):
         height, width = frame.depth.shape
-        rows = latency.measure(ditr, frame, args.runs, args.steps, args.samples)
-        peaks = memory.stage_peaks(args.weights, frame, args.steps, args.samples)
+        rows = timing.measure(ditr, frame, args.runs, args.steps, args.samples)
+        peaks = timing.stage_peaks(args.weights, frame, args.steps, args.samples)
         rows = [{**row, "peak_mb": peaks[row["stage"]]} for row in rows]
         found["frames"].append({"size": [height, width], "stages": rows})
         print(f"\nmedian of {args.runs} runs, a frame of {width} x {height}, working size {ditr.config.size[::-1]}")
-        print(latency.format_latency(rows))
+        print(timing.format_latency(rows))
     try:
-        found["unets"] = yardstick.compare_unets(ditr, args.runs)
+        found["unets"] = timing.compare_unets(ditr, args.runs)
         print("\none denoising step of one branch, one sample, beside a library's U-Net on latents of the same shape")
-        print(yardstick.format_unets(found["unets"]))
+        print(timing.format_unets(found["unets"]))
     except ImportError as error:
         print(f"\n{error}")
-    found["training"] = speed = yardstick.throughput(ditr)
+    found["training"] = speed = timing.throughput(ditr)
     print(
         f"\ntraining the {speed['part']} branch, batch {speed['batch']}: {speed['steps_per_s']:.2f} steps and "
         f"{speed['frames_per_s']:.1f} frames a second"

@@ -69,16 +69,15 @@ def floor(args: Namespace) -> None:
     """Print what is lost when the ground truth of a split is encoded and decoded, and how many codes are in use."""
     check_target(args.json, ".json")
     source, frames = chosen_frames(args)
-    from ..files import write_json
-    from ..store import read_card
+    from ..evaluation import results
     from ..studies.floor import format_floor, load_autoencoder, measure_floor
 
     report = measure_floor(frames, load_autoencoder(args.weights))
     print(f"{source}, ground truth encoded and decoded")
     print(format_floor(report))
     if args.json:
-        checksum = read_card(args.weights)["parts"]["autoencoder"]["sha256"]
-        write_json(args.json, {"command": command_line(args), "weights_sha256": checksum, "source": source, **report})
+        begin = results.head(command_line(args), args.weights, ["autoencoder"], source=source)
+        results.write(args.json, begin, report)
 
 
 def simulate(args: Namespace) -> None:

@@ -3,7 +3,7 @@
 Truth for M_RGB: the outlines of all objects. Truth for M_D and M_DA: those at which true depth jumps (by a centimetre).
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 from ..boundary import Backend, boundaries_from_labels, boundary_maps, get_backend, precision_recall_f, true_maps
 from ..data import TRANSPARENT, Sample
 from ..store import WEIGHTS, sha256
-from .statistics import bootstrap_mean, paired_bootstrap
+from .statistics import bootstrap_mean, interval, paired_bootstrap
 
 CANNY = {"sigma": (0.0, 1.0, 1.5, 2.0, 3.0), "high": (30, 60, 90, 120, 180, 250, 350), "ratio": (0.3, 0.5, 0.8)}
 MAPS = ("m_rgb", "m_d", "m_da")
@@ -78,9 +78,11 @@ def summarise(scores: Mapping[str, Mapping[str, Mapping[str, list]]], best: str 
     for m, backends in scores.items():
         for b, rows in backends.items():
             columns = dict(zip(COLUMNS, zip(*rows.values(), strict=True), strict=True))
-            entry = {k: _interval(bootstrap_mean, v) for k, v in columns.items()}
+            entry = {k: interval(bootstrap_mean, v, digits=4) for k, v in columns.items()}
             if b != best and best in backends:
-                entry["f_gain"] = _interval(paired_bootstrap, [r[2] for r in backends[best].values()], columns["f"])
+                entry["f_gain"] = interval(
+                    paired_bootstrap, [r[2] for r in backends[best].values()], columns["f"], digits=4
+                )
             table.setdefault(m, {})[b] = entry
     return table
 
@@ -128,9 +130,3 @@ def format_table(summary: Mapping[str, Mapping[str, Mapping[str, list | None]]])
             gain = f"{gain[0]:+.3f} [{gain[1]:+.3f}, {gain[2]:+.3f}]" if gain else ""
             lines.append(f"{m:6} {b:10}{cells}{gain:>25}")
     return "\n".join(lines)
-
-
-def _interval(estimate: Callable, *columns: Sequence[float | None]) -> list[float] | None:
-    if not any(all(v is not None for v in row) for row in zip(*columns, strict=True)):
-        return None
-    return [round(v, 4) for v in estimate(*columns)]

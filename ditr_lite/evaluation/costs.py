@@ -1,21 +1,25 @@
 """Count what a configuration costs a frame, network by network, without running it.
 
 Paper: Table VI, GFLOPs per stage at 1280 x 720. Its 206 for stage two do not fit what the text describes, 1,000 steps
-in two branches and two passes of SAM's ViT-L; ``latency`` times what a CPU can run, this file counts what it cannot,
+in two branches and two passes of SAM's ViT-L; ``timing`` measures what a CPU can run, this file counts what it cannot,
 the ``paper`` preset among it. A multiply-add counts as 2 operations here; many tools count it as 1 and also call that a
 FLOP. The paper does not say which it did, so :func:`beside_table_vi` shows both.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.nn.attention import SDPBackend, sdpa_kernel
+from torch.utils.flop_counter import FlopCounterMode
 
 from ..conditioning import CHANNELS
 from ..config import Config
 from ..detail import detail_input
-from ..pipeline import BRANCHES, build
-from ..unet import DenoisingUNet, count_flops
+from ..pipeline import build
+from ..stage_two import BRANCHES
+from ..unet import STRIDE, DenoisingUNet
 
 Row = dict[str, Any]
 TABLE_VI = {"one": (43, 16), "two": (2256, 206)}  # the paper's milliseconds and GFLOPs of both stages
@@ -23,49 +27,82 @@ RTX_3090_GFLOPS = 35_600  # per second, the peak in float32 of the GPU that the 
 SAM_VIT_L = 308_278_272  # parameters of the image encoder alone
 
 
+def count_flops(fn: Callable, *inputs, **kwargs) -> int:
+    """Count the floating-point operations of ``fn(*inputs)``, a module or any callable, as 2 per multiply-add."""
+    # the counter does not know the CPU's fused attention: take the one that is written as matrix products
+    with torch.no_grad(), sdpa_kernel(SDPBackend.MATH), FlopCounterMode(display=False) as counter:
+        fn(*inputs, **kwargs)
+    return counter.get_total_flops()
+
+
 @torch.no_grad()
-def costs(config: Config, sam: bool = False) -> list[Row]:
+def costs(config: Config, sam: bool = False, windows: int = 1) -> list[Row]:
     """Count every network at the working size of ``config``, on torch's meta device: nothing is allocated.
 
     Args:
         config: the system, sampler included.
         sam: also count the two passes of ViT-L that give the paper's boundary maps (Sec. IV-C, "Feature Extractor").
+        windows: in which the optical branch looks; of no meaning where it looks at whole frames.
 
     Returns:
         One {"stage", "network", "parameters", "gflops", "calls"} for each network, in the order in which they run.
-        ``gflops`` is that of one call, ``calls`` how many a frame needs. The two branches are alike and share their
-        rows: ``parameters`` are those of both, so that a column of them adds up to the whole system.
+        ``gflops`` is that of one call, ``calls`` how many a frame needs. Where both branches look at whole frames they
+        share their rows; otherwise each has its own, and "in windows" stands behind the optical one's. ``parameters``
+        leaves out what a row above has counted, so that a column of them adds up to the whole system.
     """
-    height, width = config.size
-    branches, samples = len(BRANCHES), config.sampler.samples
     with torch.device("meta"):
         parts = build(config).eval()
-        net, vae = parts["optical"], parts["autoencoder"]
-        one, rgb = torch.zeros(1, 1, height, width), torch.zeros(1, 3, height, width)
-        latents = torch.zeros(1, config.autoencoder.latent_channels, height // 4, width // 4)
-        image = torch.zeros(1, len(CHANNELS), height, width)
-        step = (latents, torch.zeros(1, dtype=torch.long), net.features(image), latents, latents[:, :1])
-        extractor = branches * _parameters(net.extractor)
-        rows = [
-            _row("one", "region", _parameters(parts["region"]), 1, parts["region"], rgb, one, one),
-            _row("two", "encoder", _parameters(vae.encoder), branches, vae.encode, one),
-            _row("two", "F(x)", extractor, branches, net.features, image),
-            _row(
-                "two",
-                "denoiser, one step",
-                branches * _parameters(net) - extractor,
-                branches * samples * config.sampler.steps,
-                net,
-                *step,
-            ),
-            _row("two", "decoder", _parameters(vae.decoder), branches * samples, vae.decode, latents),
-        ]
-        if "detail" in parts:
-            given = detail_input(one, one, one, one, rgb, one)
-            rows.append(_row("two", "detail", _parameters(parts["detail"]), 1, parts["detail"], given))
-    if sam:
-        gflops = vit_flops() / 1e9
-        rows.insert(1, {"stage": "two", "network": "SAM ViT-L", "parameters": SAM_VIT_L, "gflops": gflops, "calls": 2})
+        one, rgb = torch.zeros(1, 1, *config.size), torch.zeros(1, 3, *config.size)
+        rows = [_row("one", "region", _parameters(parts["region"]), 1, parts["region"], rgb, one, one)]
+        if sam:
+            gflops = vit_flops() / 1e9
+            rows.append({"stage": "two", "network": "SAM ViT-L", "parameters": SAM_VIT_L, "gflops": gflops, "calls": 2})
+        if not config.window:
+            return rows + _stage_two(parts, config, config.size, BRANCHES, len(BRANCHES))
+        rows += _stage_two(parts, config, config.size, ("geometric",), 1)
+        close = _stage_two(parts, config, (config.window, config.window), ("optical",), windows, shared=False)
+    return rows + [{**row, "network": f"{row['network']}, in windows"} for row in close]
+
+
+def _stage_two(
+    parts: nn.ModuleDict,
+    config: Config,
+    size: tuple[int, int],
+    branches: tuple[str, ...],
+    views: int,
+    shared: bool = True,
+) -> list[Row]:
+    """Count stage two on views of one size.
+
+    Args:
+        parts: the networks, on the meta device.
+        config: of the system.
+        size: (H, W) of a view.
+        branches: whose parameters are counted; they are alike.
+        views: of a frame, of all these branches together.
+        shared: whether to count the parameters of what branches share.
+    """
+    net, vae = parts[branches[0]], parts["autoencoder"]
+    samples, own = config.sampler.samples, len(branches)
+    one, rgb = torch.zeros(1, 1, *size), torch.zeros(1, 3, *size)
+    latents = torch.zeros(1, config.autoencoder.latent_channels, *(n // STRIDE for n in size))
+    image = torch.zeros(1, len(CHANNELS), *size)
+    rows, colour = [_row("two", "encoder", shared * _parameters(vae.encoder), views, vae.encode, one)], []
+    if "encoder" in parts:
+        rows.append(
+            _row("two", "picture encoder", shared * _parameters(parts["encoder"]), views, parts["encoder"], rgb)
+        )
+        colour = parts["encoder"](rgb)[1:]
+    features = net.features(image, colour)
+    step = (latents, torch.zeros(1, dtype=torch.long), features, latents, latents[:, :1])
+    extractor = own * _parameters(net.extractor)
+    rest, calls = own * _parameters(net) - extractor, views * samples * config.sampler.steps
+    rows.append(_row("two", "F(x)", extractor, views, net.features, image, colour))
+    rows.append(_row("two", "denoiser, one step", rest, calls, net, *step))
+    rows.append(_row("two", "decoder", shared * _parameters(vae.decoder), views * samples, vae.decode, latents))
+    if "detail" in parts:
+        given = detail_input(one, one, one, one, rgb, one)
+        rows.append(_row("two", "detail", shared * _parameters(parts["detail"]), views, parts["detail"], given))
     return rows
 
 
@@ -118,7 +155,9 @@ def beside_table_vi(rows: list[Row]) -> list[Row]:
 
 
 @torch.no_grad()
-def level_costs(net: DenoisingUNet, image: Tensor, latents: Tensor, known: Tensor, mask: Tensor) -> list[Row]:
+def level_costs(
+    net: DenoisingUNet, image: Tensor, latents: Tensor, known: Tensor, mask: Tensor, colour: list[Tensor] | None = None
+) -> list[Row]:
     """Run the denoiser once and count it part by part, in the order in which they run.
 
     Args:
@@ -127,6 +166,7 @@ def level_costs(net: DenoisingUNet, image: Tensor, latents: Tensor, known: Tenso
         latents: (B, C, H/4, W/4), L_t.
         known: like ``latents``, the encoded known depth.
         mask: (B, M, H/4, W/4), where it is known.
+        colour: the pretrained encoder's features of the picture, where the denoiser takes any.
 
     Returns:
         One {"part", "shape", "parameters", "mflops", "attention"} a part; ``shape`` is that of its output, without the
@@ -140,7 +180,8 @@ def level_costs(net: DenoisingUNet, image: Tensor, latents: Tensor, known: Tenso
     parts |= {"out": net.out}
     seen = {}
     hooks = [m.register_forward_hook(lambda m, i, o: seen.update({m: (i, o)})) for m in parts.values()]
-    net(latents, torch.zeros(len(latents), dtype=torch.long, device=latents.device), net.features(image), known, mask)
+    steps = torch.zeros(len(latents), dtype=torch.long, device=latents.device)
+    net(latents, steps, net.features(image, colour or []), known, mask)
     for hook in hooks:
         hook.remove()
     rows = []
@@ -155,10 +196,11 @@ def level_costs(net: DenoisingUNet, image: Tensor, latents: Tensor, known: Tenso
 
 def format_costs(rows: list[Row]) -> str:
     """Return :func:`costs` as a text table."""
-    lines = ["stage  network              parameters    GFLOPs x calls  =   in all"]
+    width = max(18, *(len(row["network"]) for row in rows))
+    lines = [f"stage  {'network':{width}}   parameters    GFLOPs x calls  =   in all"]
     for row in rows:
         total = f"{row['gflops']:9,.1f} {row['calls']:7,d} {row['gflops'] * row['calls']:10,.0f}"
-        lines.append(f"{row['stage']:6} {row['network']:18} {row['parameters']:12,d} {total}")
+        lines.append(f"{row['stage']:6} {row['network']:{width}} {row['parameters']:12,d} {total}")
     return "\n".join(lines)
 
 

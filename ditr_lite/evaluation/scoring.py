@@ -14,15 +14,14 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from .. import metrics
-from ..baselines import REGISTRY, Fill, compose
+from ..baselines import REGISTRY, Fill
 from ..data import Sample
-from ..pipeline import Completion, Ditr
-from ..store import read_card
-from ..units import clean_depth
-from . import statistics
+from ..pipeline import Completion, Ditr, compose
+from ..units import check_depth, clean_depth
 from .protocols import Protocol
+from .results import head
 from .stage_one import PER_CLASS, STAGE_ONE, stage_one
-from .statistics import format_interval
+from .statistics import bootstrap_mean, format_interval, interval, paired_bootstrap
 
 DITR, SENSOR = RESERVED = "ditr", "sensor"  # rows that are not methods
 COMPARED = ("optical", "optical_valid", "geometric")  # where differences get an interval
@@ -101,9 +100,11 @@ def _complete(
     maps, refused = {DITR: out.depth}, {}
     for name, method in methods.items():
         try:
-            maps[name] = compose(method(sample.rgb, sample.depth, out.region), sample.depth, out.region)
+            filled = check_depth(name, method(sample.rgb, sample.depth, out.region), sample.depth.shape)
         except ValueError as error:  # nothing is known outside the region, so nothing can be filled from there
             refused[name] = str(error)
+            continue
+        maps[name] = compose(sample.depth, filled, filled, out.region)
     return out, maps, refused
 
 
@@ -142,13 +143,11 @@ def summary(results: Sequence[Result], protocol: Protocol | None = None) -> dict
         "images": len(results),
         "methods": _averages(results, "methods", metrics.average),
         "differences": {
-            name: {key: _interval(statistics.paired_bootstrap, rmse[DITR][key], rmse[name][key]) for key in COMPARED}
+            name: {key: interval(paired_bootstrap, rmse[DITR][key], rmse[name][key]) for key in COMPARED}
             for name in rmse
             if name != DITR
         },
-        "stage_one": {
-            k: _interval(statistics.bootstrap_mean, [f.get(k) for f in found]) for k in STAGE_ONE + PER_CLASS
-        },
+        "stage_one": {k: interval(bootstrap_mean, [f.get(k) for f in found]) for k in STAGE_ONE + PER_CLASS},
         "kept": all(r["kept"] for r in results),
         "refused": {},
     }
@@ -196,7 +195,7 @@ def to_json(
     protocol: Protocol | None = None,
     **notes: Any,
 ) -> Result:
-    """Return what a committed result file holds: command, checksums of the weights, summary, RMSE of every frame.
+    """Return what a committed result file holds: its head, the summary, RMSE of every frame.
 
     Args:
         results: of :func:`run_methods`.
@@ -209,9 +208,8 @@ def to_json(
         r["name"]: {m: {k: v and round(v["rmse"], 6) for k, v in (s or {}).items()} for m, s in r["methods"].items()}
         for r in results
     }
-    checksums = {name: part["sha256"] for name, part in read_card(weights)["parts"].items()}
-    condensed = summary(results, protocol)
-    return {"command": command, "weights_sha256": checksums, **notes, "summary": condensed, "rmse_m": frames}
+    begin = head(command, weights, **notes)
+    return {**begin, "summary": summary(results, protocol), "rmse_m": frames}
 
 
 def _averages(results: Sequence[Result], key: str, average: Callable[[list], dict]) -> dict[str, Any]:
@@ -222,10 +220,3 @@ def _averages(results: Sequence[Result], key: str, average: Callable[[list], dic
 def _rmse(results: Sequence[Result], name: str, key: str) -> list[float | None]:
     scores = [(r["methods"][name] or {}).get(key) for r in results]
     return [s and s["rmse"] for s in scores]
-
-
-def _interval(bootstrap, *values) -> list[float] | None:
-    try:
-        return list(bootstrap(*values))
-    except ValueError:  # no frame has both
-        return None

@@ -4,10 +4,9 @@ Paper: Sec. IV-B, "the misclassified pixels can greatly harm the performance of 
 """
 
 import numpy as np
-import torch
 
 from .. import metrics
-from ..conditioning import depth_bounds, depth_tensors, fit, to_tensor
+from ..conditioning import fit
 from ..data import REFLECTIVE, TRANSPARENT, Sample
 from ..pipeline import Completion, Ditr
 
@@ -23,7 +22,7 @@ def stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | 
     frame = fit(sample.depth.shape, ditr.config.size)
     refined = frame.back(ditr.refine(frame.into(sample.region)) & frame.picture)
     scores = {
-        "iou": metrics.iou(out.probability > 0.5, sample.region),
+        "iou": metrics.iou(out.probability > ditr.config.refine.threshold, sample.region),
         "miss_rate": metrics.miss_rate(out.region, sample.region),
         "area_ratio": metrics.area_ratio(out.region, refined),
     }
@@ -32,7 +31,6 @@ def stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | 
     return scores
 
 
-@torch.no_grad()
 def class_map(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """Return (H, W) uint8: 0 where no region is found, before refinement; else the likelier of the two classes.
 
@@ -41,11 +39,9 @@ def class_map(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray) -> np.ndarray:
         rgb: (H, W, 3) uint8.
         depth: (H, W) float32 metres, raw.
     """
-    frame, bounds = fit(depth.shape, ditr.config.size), depth_bounds(depth)
-    small = frame.into(depth)
-    inputs = [t.to(ditr.device) for t in (to_tensor(frame.into(rgb)[None]), *depth_tensors(small, bounds))]
-    p = ditr.parts["region"](*inputs)["logits"].softmax(dim=1)[0].cpu().numpy()  # (3, h, w)
-    found = np.where(p[1:].sum(0) > 0.5, 1 + p[1:].argmax(0), 0)
+    frame, classes = ditr.classify(rgb, depth)  # (3, h, w)
+    claimed = 1 - classes[0] > ditr.config.refine.threshold
+    found = np.where(claimed, 1 + classes[1:].argmax(axis=0), 0)
     return sum(np.uint8(code) * frame.back(found == code) for code in CLASSES.values())
 
 

@@ -1,13 +1,16 @@
-"""What a fair ablation needs: the same scenes on both sides, an interval, and more than one training seed.
+"""Intervals over images, paired differences, rank correlation, and what a fair ablation needs beside them: seeds.
 
 Paper: Sec. V-D and Table IV compare single runs by their means, in which the luck of the scenes and of the training is
-not told apart from the effect. Below stand the paired interval over scenes, the seeds, and words for both.
+not told apart from the effect. Below stand the paired interval over scenes, the seeds, and words for both. All
+intervals are percentile bootstraps (``scipy.stats.bootstrap``) at 95 %.
 """
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
 
 class SeedComparison(NamedTuple):
@@ -57,13 +60,8 @@ def unpaired_bootstrap(
     Raises:
         ValueError: for an empty list.
     """
-    rng, means = np.random.default_rng(seed), []
-    for values in (a, b):
-        mean, _, _ = bootstrap_mean(values, n=1)  # refuses what cannot be averaged
-        values = np.asarray(values, np.float64)
-        means.append((mean, values[rng.integers(0, len(values), (n, len(values)))].mean(axis=1)))
-    low, high = np.percentile(means[0][1] - means[1][1], [2.5, 97.5])
-    return means[0][0] - means[1][0], float(low), float(high)
+    a, b = _finite(a, n), _finite(b, n)
+    return _bootstrap((a, b), lambda x, y, axis: x.mean(axis=axis) - y.mean(axis=axis), n, seed, paired=False)
 
 
 def verdict(name: str, minus_m: Sequence[float] | None, other: str = "the default") -> str:
@@ -106,12 +104,7 @@ def bootstrap_mean(values: Sequence[float | None], n: int = 2000, seed: int = 0)
     Raises:
         ValueError: when no finite value is left.
     """
-    kept = np.array([v for v in values if v is not None], dtype=np.float64)
-    if kept.ndim != 1 or kept.size == 0 or not np.isfinite(kept).all() or n < 1:
-        raise ValueError(f"expected finite numbers, one per image, and n >= 1; got {kept.size} numbers, n = {n}")
-    picks = np.random.default_rng(seed).integers(0, kept.size, size=(n, kept.size))
-    low, high = np.percentile(kept[picks].mean(axis=1), [2.5, 97.5])
-    return float(kept.mean()), float(low), float(high)
+    return _bootstrap((_finite(values, n),), np.mean, n, seed)
 
 
 def paired_bootstrap(
@@ -128,9 +121,8 @@ def paired_bootstrap(
     Raises:
         ValueError: for lists of different length or without a common image.
     """
-    if len(a) != len(b):
-        raise ValueError(f"a and b should score the same images, got {len(a)} and {len(b)} values")
-    return bootstrap_mean([None if x is None or y is None else x - y for x, y in zip(a, b, strict=True)], n, seed)
+    first, second = _common(a, b)
+    return bootstrap_mean(first - second, n, seed)
 
 
 def ratio_bootstrap(
@@ -141,15 +133,71 @@ def ratio_bootstrap(
     Raises:
         ValueError: for lists of different length, without a common image, a mean of 0 in ``b``, or n below 1.
     """
-    if len(a) != len(b):
-        raise ValueError(f"a and b should score the same images, got {len(a)} and {len(b)} values")
-    pairs = np.array([(x, y) for x, y in zip(a, b, strict=True) if x is not None and y is not None], np.float64)
-    if not pairs.size or not pairs[:, 1].mean() > 0 or n < 1:
-        raise ValueError(f"expected common images, positive scores in b, and n >= 1; got {len(pairs)} images, n = {n}")
-    picks = np.random.default_rng(seed).integers(0, len(pairs), size=(n, len(pairs)))
-    over, under = pairs[picks].mean(axis=1).T  # (n, images, 2) -> (n, 2)
-    low, high = np.percentile(over / under, [2.5, 97.5])
-    return float(pairs[:, 0].mean() / pairs[:, 1].mean()), float(low), float(high)
+    over, under = _common(a, b)
+    if not over.size or not under.mean() > 0 or n < 1:
+        raise ValueError(f"expected common images, positive scores in b, and n >= 1; got {over.size} images, n = {n}")
+    return _bootstrap((over, under), lambda x, y, axis: x.mean(axis=axis) / y.mean(axis=axis), n, seed)
+
+
+def spearman(x: Sequence[float], y: Sequence[float]) -> float:
+    """Return Spearman's rank correlation, -1 to 1: Pearson's of the ranks, equal values sharing their mean rank.
+
+    Raises:
+        ValueError: for fewer than two pairs, or for values that are all alike.
+    """
+    x, y = (np.asarray(values, np.float64) for values in (x, y))
+    if x.shape != y.shape or x.size < 2 or np.ptp(x) == 0 or np.ptp(y) == 0:
+        raise ValueError(f"expected two lists of at least 2 numbers that are not all alike, got {x.shape}, {y.shape}")
+    return float(stats.spearmanr(x, y).statistic)
+
+
+def spearman_bootstrap(
+    x: Sequence[float | None], y: Sequence[float | None], n: int = 2000, seed: int = 0
+) -> tuple[float, float, float]:
+    """Return (rho, low, high): Spearman's correlation and its 95 % percentile-bootstrap interval over images.
+
+    Args:
+        x: one value an image; None leaves the image out.
+        y: likewise.
+        n: resamples; those in which all values are alike have no correlation and are left out.
+        seed: of the resampling.
+
+    Raises:
+        ValueError: for lists of different lengths, and as :func:`spearman`.
+    """
+    x, y = _common(x, y)
+    spearman(x, y)  # refuses what has no correlation
+
+    def correlation(x: np.ndarray, y: np.ndarray, axis: int) -> np.ndarray:
+        ranks = stats.rankdata(x, axis=axis), stats.rankdata(y, axis=axis)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", stats.ConstantInputWarning)
+            return stats.pearsonr(*ranks, axis=axis).statistic
+
+    return _bootstrap((x, y), correlation, n, seed)
+
+
+def interval(estimate: Callable, *columns: Sequence[float | None], digits: int | None = None) -> list[float] | None:
+    """Return [estimate, low, high] for a results file; None where no image has all the scores.
+
+    Args:
+        estimate: one of the bootstraps above.
+        columns: what it takes, one score per image and column.
+        digits: round to so many decimals; None keeps them all.
+
+    Raises:
+        ValueError: as ``estimate`` does.
+    """
+    complete = [row for row in zip(*columns, strict=True) if None not in row]
+    if not complete:
+        return None
+    return [value if digits is None else round(value, digits) for value in estimate(*columns)]
+
+
+def mean_known(values: Sequence[float | None]) -> float | None:
+    """Return the mean of the scores that are not None; None where all are."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
 
 
 def format_interval(
@@ -160,3 +208,35 @@ def format_interval(
         return missing
     mean, low, high = (format(factor * x, style) for x in interval)
     return f"{mean} [{low}, {high}]"
+
+
+def _finite(values: Sequence[float | None], n: int) -> np.ndarray:
+    kept = np.array([v for v in values if v is not None], dtype=np.float64)
+    if kept.ndim != 1 or kept.size == 0 or not np.isfinite(kept).all() or n < 1:
+        raise ValueError(f"expected finite numbers, one per image, and n >= 1; got {kept.size} numbers, n = {n}")
+    return kept
+
+
+def _common(a: Sequence[float | None], b: Sequence[float | None]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the scores of the images that have both."""
+    if len(a) != len(b):
+        raise ValueError(f"a and b should score the same images, got {len(a)} and {len(b)} values")
+    pairs = [(x, y) for x, y in zip(a, b, strict=True) if x is not None and y is not None]
+    first, second = np.array(pairs, np.float64).reshape(-1, 2).T
+    return first, second
+
+
+def _bootstrap(
+    data: tuple[np.ndarray, ...], statistic: Callable, n: int, seed: int, paired: bool = True
+) -> tuple[float, float, float]:
+    """Return (statistic, low, high): the percentiles 2.5 and 97.5 over resamples, those without a value left out."""
+    found = float(statistic(*data, axis=0))
+    if min(len(column) for column in data) < 2:  # nothing to resample
+        return found, found, found
+    paired = paired and len(data) > 1
+    how = {"n_resamples": n, "paired": paired, "method": "percentile", "vectorized": True}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", stats.DegenerateDataWarning)
+        drawn = stats.bootstrap(data, statistic, rng=np.random.default_rng(seed), **how).bootstrap_distribution
+    low, high = np.nanpercentile(drawn, [2.5, 97.5])
+    return found, float(low), float(high)

@@ -8,8 +8,11 @@ from collections.abc import Sequence
 from math import erf, pi, sqrt
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar, nnls
+from scipy.special import logsumexp
 from scipy.stats import norm
+
+from ..data import Sample
 
 
 def coverage(error: np.ndarray, std: np.ndarray, times: float = 1.0) -> float:
@@ -27,11 +30,25 @@ def coverage(error: np.ndarray, std: np.ndarray, times: float = 1.0) -> float:
     return float((np.abs(error) <= times * std).mean())
 
 
-def reliability(
+def coverages(
     error: np.ndarray, std: np.ndarray, times: Sequence[float] = (0.25, 0.5, 1, 1.5, 2, 3)
 ) -> list[tuple[float, float, float]]:
     """Return (times, share expected of Gaussian errors, share observed) for several multiples of the stated error."""
     return [(float(k), erf(k / sqrt(2)), coverage(error, std, k)) for k in times]
+
+
+def reliability(spread: np.ndarray, error: np.ndarray, bins: int = 8) -> np.ndarray:
+    """Return (2, bins): root mean square spread and error of bins of equal count, smallest spread first.
+
+    Calibrated draws have both alike in every bin. Pixels that do not fill the last bin are left out.
+
+    Raises:
+        ValueError: for lists of different lengths, or fewer pixels than bins.
+    """
+    if spread.shape != error.shape or bins < 1 or spread.size < bins:
+        raise ValueError(f"expected spread and error of the same pixels, at least {bins}: {spread.shape} {error.shape}")
+    order = np.argsort(spread, kind="stable")[: spread.size // bins * bins]
+    return np.sqrt((np.stack([spread, error])[:, order].reshape(2, bins, -1) ** 2).mean(axis=2))
 
 
 def risk_coverage(error: np.ndarray, std: np.ndarray, points: int = 20) -> list[tuple[float, float, float]]:
@@ -42,14 +59,23 @@ def risk_coverage(error: np.ndarray, std: np.ndarray, points: int = 20) -> list[
     Returns:
         ``points`` rows, from 1 / points to 1; metres.
     """
-    error, std = _pair(error, std)
-    orders = [np.argsort(key, kind="stable") for key in (std, np.abs(error))]
-    sums = [np.cumsum(np.square(error[order], dtype=np.float64)) for order in orders]
-    rows = []
-    for k in range(1, points + 1):
-        count = max(1, round(len(error) * k / points))
-        rows.append((k / points, *(float(np.sqrt(s[count - 1] / count)) for s in sums)))
-    return rows
+    shares = [k / points for k in range(1, points + 1)]
+    curves = (risk(key, error, shares) for key in (std, np.abs(error)))
+    return list(zip(shares, *(curve.tolist() for curve in curves), strict=True))
+
+
+def risk(score: np.ndarray, error: np.ndarray, kept: Sequence[float]) -> np.ndarray:
+    """Return the RMSE of what is left when the pixels with the largest ``score`` are dropped, per share ``kept``.
+
+    With the stated error as score: what doubt is worth. With ``|error|``: the best that any doubt could be worth.
+
+    Raises:
+        ValueError: for arrays of different shape, or empty ones.
+    """
+    error, score = _pair(error, score)
+    square = error[np.argsort(score, kind="stable")].astype(np.float64) ** 2
+    running = np.cumsum(square) / np.arange(1, len(square) + 1)
+    return np.sqrt(running[[max(1, round(share * len(square))) - 1 for share in kept]])
 
 
 def gaussian_crps(error: np.ndarray, std: np.ndarray) -> float:
@@ -78,6 +104,58 @@ def fit_error(error: np.ndarray, spread: np.ndarray, depth: np.ndarray) -> tuple
     found = minimize(cost, np.log([0.02, 2.0]), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-8})
     base, factor = np.exp(found.x)
     return float(base), float(factor)
+
+
+def fit_kept(error: np.ndarray, depth: np.ndarray, doubt: np.ndarray) -> tuple[float, float]:
+    """Fit (kept, missed) of depth * sqrt(kept^2 + p missed^2), see ``config.StdConfig``, of readings that were kept.
+
+    Least squares of the squared relative error against 1 and p, neither being negative: what a reading is off on plain
+    surfaces, and what more on glass that stage one has missed.
+
+    Args:
+        error: (N,) metres.
+        depth: (N,) metres.
+        doubt: (N,) in [0, 1], stage one's probability of glass.
+    """
+    error, depth = _pair(error, depth)
+    error, doubt = _pair(error, doubt)
+    square = (error / depth).astype(np.float64) ** 2
+    found, _ = nnls(np.stack([np.ones_like(square), doubt.astype(np.float64)], axis=1), square)
+    return float(np.sqrt(found[0])), float(np.sqrt(found[1]))
+
+
+def fit_temperature(log_probability: np.ndarray, true: np.ndarray) -> float:
+    """Return the temperature by which stage one's logits must be divided so that its probability means what it says.
+
+    One scalar, the least cross-entropy of the two classes merged (Guo et al. 2017, Sec. 4.2).
+
+    Args:
+        log_probability: (C, N) logarithms of the classes' probabilities at temperature 1, the background first.
+        true: (N,) bool, transparent or reflective.
+
+    Raises:
+        ValueError: for arrays that do not fit together, or fewer than two classes.
+    """
+    logs, true = np.asarray(log_probability, np.float64), np.asarray(true)
+    if logs.ndim != 2 or len(logs) < 2 or true.shape != logs.shape[1:] or not true.size:
+        raise ValueError(f"expected (C, N) of at least 2 classes and (N,) with N >= 1, got {logs.shape}, {true.shape}")
+
+    def cross_entropy(log: float) -> float:
+        scaled = logs * np.exp(-log)
+        chosen = np.where(true, logsumexp(scaled[1:], axis=0), scaled[0])
+        return float((logsumexp(scaled, axis=0) - chosen).mean())
+
+    return float(np.exp(minimize_scalar(cross_entropy, bounds=(-2.0, 3.0), method="bounded").x))
+
+
+def spread_and_error(drawn: Sequence[np.ndarray], samples: Sequence[Sample]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the spread (N,) of the draws and the signed error (N,) of their mean, metres, of all region pixels."""
+    parts = []
+    for members, sample in zip(drawn, samples, strict=True):
+        known = sample.region & (sample.depth_gt > 0)
+        parts.append((members.std(axis=0, ddof=1)[known], (members.mean(axis=0) - sample.depth_gt)[known]))
+    spread, error = (np.concatenate(values) for values in zip(*parts, strict=True))
+    return spread, error
 
 
 def _pair(error: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

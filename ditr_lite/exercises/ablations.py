@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.stats import rankdata
 
-from ..evaluation.draws import reliability
-from ..evaluation.statistics import compare_seeds
+from ..evaluation.statistics import compare_seeds, spearman
+from ..evaluation.uncertainty import reliability
 from ..studies import failures
 from .checker import Function, check
 
@@ -128,10 +128,10 @@ def check_spearman(attempt: Function) -> bool:
         "the short formula with squared differences holds only without equal values": lambda x, y: (
             1 - 6 * ((rankdata(x) - rankdata(y)) ** 2).sum() / (len(x) ** 3 - len(x))
         ),
-        "the sign is the wrong way round": lambda x, y: -failures.spearman(x, y),
-        "that is its square; the correlation has a sign": lambda x, y: failures.spearman(x, y) ** 2,
+        "the sign is the wrong way round": lambda x, y: -spearman(x, y),
+        "that is its square; the correlation has a sign": lambda x, y: spearman(x, y) ** 2,
     }
-    return check("rank correlation", attempt, failures.spearman, [(x, y), (y, -x)], mistakes)
+    return check("rank correlation", attempt, spearman, [(x, y), (y, -x)], mistakes)
 
 
 def check_overlap(attempt: Function) -> bool:

@@ -8,8 +8,8 @@ import torch
 from .. import metrics
 from ..config import RefineConfig
 from ..region import CrossModalFusion, refine_region
+from ..training.as_the_paper import paper_learning_rate
 from ..training.finetune import soft_compose, soft_region
-from ..training.region_training import paper_learning_rate
 from .checker import Function, check
 
 RNG = np.random.default_rng(2)

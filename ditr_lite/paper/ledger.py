@@ -16,7 +16,7 @@ from ..data import SAMPLES, list_samples, load_sample
 from ..evaluation.costs import vit_flops
 from ..schedule import make_schedule
 from ..store import WEIGHTS
-from ..training.region_training import trosnet_learning_rate
+from ..training.as_the_paper import trosnet_learning_rate
 from ..unet import CrossAttentionFeatureQuery, CrossAttentionLatentQuery
 from . import audit
 from .audit import beaten_in, below_rel_floor, implied_weight, rank_orders

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from .. import metrics
-from ..baselines import REGISTRY, compose
+from ..baselines import REGISTRY
 from ..config import from_dict
 from ..data import Sample
 from ..evaluation.statistics import bootstrap_mean, format_interval, paired_bootstrap, ratio_bootstrap
 from ..paper.tables import T1, T4, T5
-from ..pipeline import Completion, Ditr, build
+from ..pipeline import Completion, Ditr, build, compose
 from ..store import WEIGHTS, load_part, load_parts, read_card
 from ..studies.floor import reconstruct
 from ..studies.swaps import SWAPS, Swapped
@@ -60,7 +60,7 @@ def arm_system(folder: Path | str, arm: str, seed: int) -> Ditr:
         config = replace(config, detail=replace(config.detail, width=0))
     parts, (_, shipped) = build(config), load_parts()
     for name, module in parts.items():
-        own = name not in ("region", "autoencoder")
+        own = name in ("optical", "geometric", "detail")
         module.load_state_dict(load_part(f"{arm}_{name}-{seed}", folder) if own else shipped[name])
     return Ditr(parts, config)
 
@@ -80,18 +80,16 @@ def methods(ditr: Ditr, folder: Path | str, seeds: Sequence[int] = (0, 1)) -> di
     rows: dict[str, Method] = {
         SHIPPED: lambda s, out: out.depth,
         "true region": lambda s, out: ditr(s.rgb, s.depth, s.region).depth,
-        "no detail network": lambda s, out: plain(s.rgb, s.depth, out.region).depth,
-        "truth through the autoencoder": lambda s, out: compose(
-            reconstruct(ditr.parts["autoencoder"], s)[0], s.depth, out.region
-        ),
+        "no detail network": lambda s, out: plain.paint(s, out.region),
+        "truth through the autoencoder": _composed(lambda s, out: reconstruct(ditr.parts["autoencoder"], s)[0]),
         "one sample": lambda s, out: ditr(s.rgb, s.depth, out.region, samples=1).depth,
         "sixteen samples": lambda s, out: ditr(s.rgb, s.depth, out.region, samples=16).depth,
     }
     for name, method in REGISTRY.items():
-        rows[name] = _composed(method)
+        rows[name] = _composed(lambda s, out, method=method: method(s.rgb, s.depth, out.region))
     for name, peer in load_peers(folder).items():
         rows[f"{name}, bare"] = lambda s, out, peer=peer: peer(s.rgb, s.depth)
-        rows[name] = _composed(peer)
+        rows[name] = _composed(lambda s, out, peer=peer: peer(s.rgb, s.depth, out.region))
     equal = arm_system(folder, "ditr", 0)
     rows[EQUAL] = lambda s, out: equal(s.rgb, s.depth, out.region).depth
     for seed in seeds:
@@ -102,8 +100,12 @@ def methods(ditr: Ditr, folder: Path | str, seeds: Sequence[int] = (0, 1)) -> di
     return rows
 
 
-def _composed(method) -> Method:
-    return lambda s, out: compose(method(s.rgb, s.depth, out.region), s.depth, out.region)
+def _composed(method: Method) -> Method:
+    def composed(s: Sample, out: Completion) -> np.ndarray:
+        filled = method(s, out)
+        return compose(s.depth, filled, filled, out.region)
+
+    return composed
 
 
 def run(frames, ditr: Ditr, rows: Mapping[str, Method]) -> dict[str, dict[str, dict[str, float | None]]]:

@@ -23,14 +23,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..autoencoder import VQAutoencoder
 from ..baselines import Fill
-from ..boundary import boundary_maps, get_backend
-from ..conditioning import CHANNELS, Bounds, condition, depth_bounds, depth_tensors, fill, fit, to_tensor
+from ..boundary import M_RGB, boundary_maps, get_backend
+from ..conditioning import CHANNELS, Bounds, depth_bounds, depth_tensors, fill, fit, to_tensor, without_strays
 from ..config import Config, from_dict
-from ..diffusion import sample
+from ..evaluation.protocols import fitted
+from ..pipeline import build
 from ..region import Encoder
 from ..schedule import make_schedule
+from ..stage_two import Painter, Views, paint
 from ..store import load_part, read_card
 from ..unet import DenoisingUNet, norm
 from .gradient_solve import solve
@@ -119,9 +120,9 @@ def predicted_depth(name: str, out: Tensor, depth_n: Tensor, valid: Tensor) -> T
     return weights[:, :1] * own + weights[:, 1:] * filled
 
 
-def single_latent_input(rgb: Tensor, depth_n: Tensor, valid: Tensor, guide: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return what the single denoiser is given: all readings as known depth, no region (see ``condition``)."""
-    return condition(rgb, depth_n, valid, torch.zeros_like(valid), guide, evidence=False)
+def single_views(rgb: Tensor, depth_n: Tensor, valid: Tensor, guide: Tensor) -> Views:
+    """Return what the single denoiser is given: all readings as known depth, no region."""
+    return Views(rgb, depth_n, valid, torch.zeros_like(valid), guide, guide)
 
 
 class Peer:
@@ -131,29 +132,34 @@ class Peer:
         name: of the peer, or ``rgb_only_aligned``.
         net: its network.
         config: working size; of the diffusion, for ``single_latent_diffusion``.
-        autoencoder: for ``single_latent_diffusion``.
+        painter: that network with autoencoder and encoder, for ``single_latent_diffusion``.
     """
 
-    def __init__(self, name: str, net: nn.Module, config: Config, autoencoder: VQAutoencoder | None = None):
-        self.name, self.config, self.autoencoder = name, config, autoencoder
+    def __init__(self, name: str, net: nn.Module, config: Config, painter: Painter | None = None):
+        self.name, self.config, self.painter = name, config, painter
         self.net = net.eval().requires_grad_(False).to(memory_format=torch.channels_last)
 
     @torch.no_grad()
     def __call__(self, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray | None = None) -> np.ndarray:
         """Return (H, W) float32 metres, dense. ``region`` only says which readings a fit or a solve must not trust."""
-        frame, bounds = fit(depth.shape, self.config.size), depth_bounds(depth)
-        small = frame.into(depth)
-        outside = small if region is None else np.where(frame.into(region), 0, small)
-        outside = outside if outside.any() else small  # nothing but the region was read: better than nothing
-        image, (depth_n, valid) = to_tensor(frame.into(rgb)[None]), depth_tensors(small, bounds)
+        frame = fit(depth.shape, self.config.size)
+        picture = frame.into(rgb)
+        small = without_strays(frame.into(depth))
+        bounds = depth_bounds(small)
+        image = to_tensor(picture[None])
+        depth_n, valid = depth_tensors(small, bounds)
         if self.name == "single_latent_diffusion":
-            m_rgb = frame.on_picture(boundary_maps, frame.into(rgb), small, backend=get_backend("classical"))[0]
-            metres = bounds.denormalise(self._denoise(m_rgb, image, depth_n, valid))
+            guide = frame.on_picture(boundary_maps, picture, small, backend=get_backend("classical"))[M_RGB]
+            views = single_views(image, depth_n, valid, torch.from_numpy(guide)[None, None].float())
+            metres = self._denoise(views, bounds)
         else:
+            outside = small if region is None else np.where(frame.into(region), 0, small)
+            if not outside.any():  # nothing but the region was read: better than nothing
+                outside = small
             name = self.name.removesuffix("_aligned")
             out = self.net(network_input(name, image, depth_n, valid))
             metres = self._read(name, out, depth_n, valid, bounds, outside)
-        low = 0.25 * float(depth.min(where=depth > 0, initial=bounds.high))  # as DITR: metric depth is positive
+        low = 0.25 * float(small[small > 0].min())  # as DITR: metric depth is positive
         return frame.back(np.maximum(metres, low).astype(np.float32))
 
     def _read(
@@ -161,39 +167,43 @@ class Peer:
     ) -> np.ndarray:
         if name == "rgb_only":
             metres = TYPICAL_M * np.exp(out[0, 0].numpy())
-            return aligned(metres, outside) if self.name == "rgb_only_aligned" else metres
+            return fitted(metres, outside) if self.name == "rgb_only_aligned" else metres
         if name == "normals_optimisation":
             return solve(outside, out[0, :2].numpy(), torch.sigmoid(out[0, 2]).numpy())
         return bounds.denormalise(predicted_depth(name, out, depth_n, valid)[0, 0].numpy())
 
-    def _denoise(self, m_rgb: np.ndarray, image: Tensor, depth_n: Tensor, valid: Tensor) -> np.ndarray:
-        guide = torch.from_numpy(m_rgb)[None, None].float()
-        given, filled, known = single_latent_input(image, depth_n, valid, guide)
-        sampler, count = self.config.sampler, self.config.sampler.samples
-        features = [f.expand(count, -1, -1, -1) for f in self.net.features(given)]
-        masked, known = self.autoencoder.encode(filled).expand(count, -1, -1, -1), known.expand(count, -1, -1, -1)
+    def _denoise(self, views: Views, bounds: Bounds) -> np.ndarray:
+        sampler = self.config.sampler
+        schedule = make_schedule(self.config.schedule)
         generator = torch.Generator().manual_seed(0)
-        latents = sample(
-            lambda x, t: self.net(x, t, features, masked, known),
-            masked.shape,
-            make_schedule(self.config.schedule),
-            sampler.steps,
-            sampler.prediction,
-            generator=generator,
-        )
-        return self.autoencoder.decode(latents).mean(0)[0].numpy()
+        drawn = paint(
+            self.painter, views, schedule, sampler.steps, sampler.samples, sampler.prediction, generator
+        )  # (S, 1, 1, H, W)
+        return bounds.denormalise(drawn[:, 0, 0].numpy()).mean(axis=0)
 
 
-def aligned(depth: np.ndarray, readings: np.ndarray) -> np.ndarray:
-    """Scale and shift (H, W) ``depth`` to fit ``readings`` (0 = none) with the least squared error."""
-    at = readings > 0
-    design = np.stack([depth[at], np.ones(int(at.sum()))], axis=1).astype(np.float64)
-    (scale, shift), *_ = np.linalg.lstsq(design, readings[at].astype(np.float64), rcond=None)
-    return (scale * depth + shift).astype(np.float32)
+def single_painter(net: nn.Module, config: Config, weights: Path | str | None = None) -> Painter:
+    """Return the single denoiser with the autoencoder, and the colour encoder if it needs one, of a weights folder.
+
+    Raises:
+        ValueError: when one of them is missing.
+    """
+    parts = build(config)
+    for name in ("autoencoder", "encoder"):
+        if name in parts:
+            parts[name].load_state_dict(load_part(name, weights))
+            parts[name].eval().requires_grad_(False)
+    encoder = parts["encoder"] if "encoder" in parts else None
+    return Painter(net, parts["autoencoder"], encoder, detail=None, evidence=False)
 
 
-def load_peers(folder: Path | str, seed: int = 0) -> dict[str, Fill]:
+def load_peers(folder: Path | str, seed: int = 0, weights: Path | str | None = None) -> dict[str, Fill]:
     """Return name -> call of all peers in a folder that ``tools/train_peer.py`` wrote.
+
+    Args:
+        folder: of the peers.
+        seed: that they were trained with.
+        weights: folder of the autoencoder, and of the colour encoder; None for the shipped one.
 
     Raises:
         ValueError: when there is none.
@@ -204,13 +214,10 @@ def load_peers(folder: Path | str, seed: int = 0) -> dict[str, Fill]:
     for name in NAMES:
         if f"{name}-{seed}" not in card["parts"]:
             continue
-        net, autoencoder = build_peer(name, config), None
+        net = build_peer(name, config)
         net.load_state_dict(load_part(f"{name}-{seed}", folder))
-        if name == "single_latent_diffusion":
-            autoencoder = VQAutoencoder(config.autoencoder)
-            autoencoder.load_state_dict(load_part("autoencoder"))
-            autoencoder.eval().requires_grad_(False)
-        found[name] = Peer(name, net, config, autoencoder)
+        painter = single_painter(net, config, weights) if name == "single_latent_diffusion" else None
+        found[name] = Peer(name, net, config, painter)
         if name == "rgb_only":
             found["rgb_only_aligned"] = Peer("rgb_only_aligned", net, config)
     if not found:

@@ -16,7 +16,7 @@ ditr        the whole recipe: optical, geometric and the detail network
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,16 +25,19 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .. import diffusion
-from ..autoencoder import VQAutoencoder
+from ..boundary import get_backend
+from ..conditioning import condition
 from ..config import Config, preset
 from ..files import write_json
 from ..pipeline import build
 from ..schedule import make_schedule
+from ..stage_two import BRANCHES, Painter
 from ..store import WEIGHTS, load_part, save_part
 from ..training import recipes
-from ..training.batches import Batch, Scenes, checksum, draw, first, load_scenes
+from ..training.batches import Batch, draw_frames
 from ..training.loop import Recipe, fit
+from ..training.parts import painter_of
+from ..training.scenes import Pool, checksum, first, load_scenes
 from . import networks
 
 ARMS = {
@@ -43,7 +46,8 @@ ARMS = {
     "ditr": {"optical": 0.42, "geometric": 0.25, "detail": 0.33},
 }
 RECIPE = Recipe(steps=1, batch=8, lr=1e-3)  # the steps follow from the time
-OWN = ("optical", "geometric", "detail")  # DITR's own networks
+OWN = (*BRANCHES, "detail")  # DITR's own networks
+GIVEN = ("autoencoder", "encoder")  # what every arm is handed
 TIMED_SCENES = 16  # are enough to time a step on
 Times = dict[str, float]
 EDGE = 0.02  # a step of log depth between neighbours, 2 % of the depth, is an occlusion boundary
@@ -53,7 +57,7 @@ def train_arm(
     arm: str,
     minutes: float,
     seed: int = 0,
-    data: Path | str = "outputs/scenes/train",
+    data: Path | str | Sequence[Path | str] = ("outputs/scenes/train", "outputs/scenes/rooms_train"),
     out: Path | str = "outputs/peers",
     work: Path | str = "outputs/training/peers",
     limit: int | None = 600,
@@ -66,12 +70,12 @@ def train_arm(
         arm: one of :data:`ARMS`.
         minutes: of processor time for training steps.
         seed: of everything random.
-        data: folder of rendered scenes.
+        data: folder of rendered scenes, or several, drawn from by their number of scenes.
         out: weights folder of the peers.
         work: for checkpoints.
-        limit: use only the first scenes.
+        limit: use only the first scenes of each folder.
         config: sizes; the lite preset by default.
-        weights: folder that holds the autoencoder.
+        weights: folder that holds the autoencoder, and the colour encoder if the sizes ask for one.
 
     Returns:
         network -> its entry in the card.
@@ -84,32 +88,35 @@ def train_arm(
     if not minutes > 0:
         raise ValueError(f"expected a positive number of minutes, got {minutes}")
     config = config or preset("lite")
-    Path(work).mkdir(parents=True, exist_ok=True)
-    scenes = load_scenes(data, limit, "classical", Path(work) / "maps.npz")
+    folders = [data] if isinstance(data, str | Path) else data
+    scenes = [load_scenes(folder, limit) for folder in folders]
     parts = build(config)
-    parts["autoencoder"].load_state_dict(load_part("autoencoder", weights))
-    parts["autoencoder"].eval().requires_grad_(False)
-    times = step_times(Path(out) / "times.json", first(scenes, TIMED_SCENES), config, parts["autoencoder"])
+    for name in GIVEN:
+        if name in parts:
+            parts[name].load_state_dict(load_part(name, weights))
+            parts[name].eval().requires_grad_(False)
+    few = Pool([first(group, TIMED_SCENES) for group in scenes])
+    times = step_times(Path(out) / "times.json", few, config, parts)
     entries = {}
     for name, share in ARMS[arm].items():
         torch.manual_seed(seed)
         net = parts[name] if name in parts else networks.build_peer(name, config)
         net = net.to(memory_format=torch.channels_last)
         tag = name if arm in networks.NAMES else f"{arm}_{name}"
-        # data for the detail network is painted by the branches that this arm has just trained
-        for other in ("optical", "geometric") if name == "detail" else ():
-            parts[other].eval().requires_grad_(False)
-        step = _step_loss(name, net, parts, scenes, config, seed)
+        if name == "detail":  # it learns from what the branches paint that this arm has just trained
+            for branch in BRANCHES:
+                parts[branch].eval().requires_grad_(False)
+        step = _step_loss(name, net, parts, Pool(scenes), config, seed)
         recipe = replace(RECIPE, steps=max(1, round(60 * minutes * share / times[name])))
-        notes = fit(f"{tag}-{seed}", net, step, recipe, work, seed=seed, key=checksum(scenes))
-        notes |= {"arm": arm, "minutes": minutes * share, "seed": seed, "scenes": len(scenes), "recipe": vars(recipe)}
-        notes |= {"threads": torch.get_num_threads()}
+        notes = fit(f"{tag}-{seed}", net, step, recipe, work, seed=seed, key=checksum(*scenes))
+        notes |= {"arm": arm, "minutes": minutes * share, "seed": seed, "recipe": vars(recipe)}
+        notes |= {"scenes": sum(len(group) for group in scenes), "threads": torch.get_num_threads()}
         save_part(f"{tag}-{seed}", net.state_dict(), config, out, notes)
         entries[tag] = notes
     return entries
 
 
-def step_times(file: Path, scenes: Scenes, config: Config, autoencoder: VQAutoencoder, rounds: int = 8) -> Times:
+def step_times(file: Path, pool: Pool, config: Config, given: nn.ModuleDict, rounds: int = 8) -> Times:
     """Return network -> seconds of processor time that a training step takes here.
 
     Measured once, all networks in turn, so that a slow moment of the machine falls on all alike and a resumed run ends
@@ -117,17 +124,19 @@ def step_times(file: Path, scenes: Scenes, config: Config, autoencoder: VQAutoen
 
     Args:
         file: where the times are kept.
-        scenes: a few.
+        pool: of a few scenes.
         config: sizes.
-        autoencoder: trained or not.
+        given: autoencoder and colour encoder, trained or not.
         rounds: over all networks; the median counts.
     """
     if not file.is_file():
         parts = build(config)
-        parts["autoencoder"] = autoencoder
+        for name in GIVEN:
+            if name in given:
+                parts[name] = given[name]
         nets = {name: networks.build_peer(name, config) for name in networks.NAMES}
         nets |= {name: net for name, net in parts.items() if name in OWN}
-        losses = {name: _step_loss(name, net, parts, scenes, config, 0) for name, net in nets.items()}
+        losses = {name: _step_loss(name, net, parts, pool, config, 0) for name, net in nets.items()}
         took: dict[str, list[float]] = {name: [] for name in nets}
         for k in range(rounds):
             for name, loss in losses.items():
@@ -139,58 +148,53 @@ def step_times(file: Path, scenes: Scenes, config: Config, autoencoder: VQAutoen
     return json.loads(file.read_text())
 
 
-def _step_loss(name: str, net: nn.Module, parts: nn.ModuleDict, scenes: Scenes, config: Config, seed: int):
-    if name in ("optical", "geometric"):
-        return recipes.branch_step(name, net, parts["autoencoder"], scenes, config, RECIPE, seed)
+def _step_loss(name: str, net: nn.Module, parts: nn.ModuleDict, pool: Pool, config: Config, seed: int):
+    backend = get_backend("classical")
+    painters = {branch: painter_of(branch, parts, config) for branch in BRANCHES}
+    if name in BRANCHES:
+        return recipes.branch_step(name, painters[name], pool, config, RECIPE, backend, seed)
     if name == "detail":
-        return recipes.detail_step(net, recipes.paint_all(parts, scenes, config, seed), RECIPE, len(scenes), seed)
+        return recipes.detail_step(net, painters, pool, config, RECIPE, backend, seed)
     if name == "single_latent_diffusion":
-        return single_step(net, parts["autoencoder"], scenes, config, seed)
-    return peer_step(name, net, scenes, seed)
+        single = replace(painters["geometric"], net=net)
+        return single_step(single, pool, config, seed)
+    return peer_step(name, net, pool, config, seed)
 
 
-def peer_step(name: str, net: nn.Module, scenes: Scenes, seed: int = 0) -> Callable[[int], dict[str, Tensor]]:
+def peer_step(
+    name: str, net: nn.Module, pool: Pool, config: Config, seed: int = 0
+) -> Callable[[int], dict[str, Tensor]]:
     """Return the step loss of a peer at pixel size."""
 
     def step_loss(step: int) -> dict[str, Tensor]:
-        rng = recipes.rng_of(seed, step)
-        batch = draw(scenes, rng.integers(0, len(scenes), RECIPE.batch), rng)
-        image = networks.network_input(name, batch.rgb, batch.depth_n, batch.valid)
-        out = net(image.contiguous(memory_format=torch.channels_last))
+        batch = draw_frames(pool, RECIPE.batch, config.size, recipes.rng_of(seed, step))
+        out = net(recipes.cl(networks.network_input(name, batch.rgb, batch.depth_n, batch.valid)))
         if name == "normals_optimisation":
-            return orientation_loss(out, batch, scenes)
+            return orientation_loss(out, batch)
         if name == "rgb_only":
-            error = networks.TYPICAL_M * out.exp() - true_metres(batch, scenes)
-        else:
-            depth = networks.predicted_depth(name, out, batch.depth_n, batch.valid)
-            error = (depth - batch.gt_n) * batch.scale_m
-        return depth_loss(error, batch)
+            return depth_loss(batch.relative_error_m(networks.TYPICAL_M * out.exp()), batch)
+        depth_n = networks.predicted_depth(name, out, batch.depth_n, batch.valid)
+        return depth_loss(batch.relative_error(depth_n), batch)
 
     return step_loss
 
 
-def depth_loss(error_m: Tensor, batch: Batch) -> dict[str, Tensor]:
-    """Score metric errors as the detail network's recipe does: L1 and RMS of region, holes and whole frame alike."""
-    region = (batch.material > 0)[:, None].float()
+def depth_loss(error: Tensor, batch: Batch) -> dict[str, Tensor]:
+    """Score relative errors (B, 1, H, W) as the detail network's recipe does: L1 and RMS, each pixel set alike."""
+    holes = (1 - batch.region) * (1 - batch.valid)
+    sets = {"optical": batch.region, "geometric": holes, "whole": torch.ones_like(holes)}
     losses = {}
-    sets = {"optical": region, "geometric": (1 - region) * (1 - batch.valid), "whole": torch.ones_like(region)}
     for name, where in sets.items():
         weight = where * batch.gt_known
         share = weight.sum(dim=(1, 2, 3)).clamp(min=1)
-        losses[f"{name}_l1"] = ((error_m.abs() * weight).sum(dim=(1, 2, 3)) / share).mean()
-        losses[f"{name}_rms"] = ((error_m.square() * weight).sum(dim=(1, 2, 3)) / share + 1e-8).sqrt().mean()
+        losses[f"{name}_l1"] = ((error.abs() * weight).sum(dim=(1, 2, 3)) / share).mean()
+        losses[f"{name}_rms"] = ((error.square() * weight).sum(dim=(1, 2, 3)) / share + 1e-8).sqrt().mean()
     return {"total": 10 * sum(losses.values()), **losses}
 
 
-def true_metres(batch: Batch, scenes: Scenes) -> Tensor:
-    """Return ground truth (B, 1, H, W) in metres, 0 where unknown, mirrored where the frame is."""
-    truth = torch.from_numpy(scenes.depth_gt[batch.index].astype("float32") / 1000)[:, None]
-    return torch.where(torch.from_numpy(batch.flipped).view(-1, 1, 1, 1), truth.flip(3), truth)
-
-
-def orientation_loss(out: Tensor, batch: Batch, scenes: Scenes) -> dict[str, Tensor]:
+def orientation_loss(out: Tensor, batch: Batch) -> dict[str, Tensor]:
     """Score predicted gradients of log depth (L1, off edges) and edges (cross-entropy)."""
-    truth = true_metres(batch, scenes).clamp(min=0.05).log()
+    truth = batch.truth_m.clamp(min=0.05).log()
     known = batch.gt_known
     gx = F.pad(truth[..., 1:] - truth[..., :-1], (0, 1, 0, 0))
     gy = F.pad(truth[..., 1:, :] - truth[..., :-1, :], (0, 0, 0, 1))
@@ -204,25 +208,16 @@ def orientation_loss(out: Tensor, batch: Batch, scenes: Scenes) -> dict[str, Ten
     return {"total": 100 * l1 + cross, "gradient_l1": l1, "edge": cross}
 
 
-def single_step(
-    net: nn.Module, autoencoder: VQAutoencoder, scenes: Scenes, config: Config, seed: int = 0
-) -> Callable[[int], dict[str, Tensor]]:
-    """Return the step loss of the single denoiser: a branch's (Paper: Eq. 8), every cell counting alike."""
-    schedule, targets = make_schedule(config.schedule), recipes.encode_targets(autoencoder, scenes)
+def single_step(painter: Painter, pool: Pool, config: Config, seed: int = 0) -> Callable[[int], dict[str, Tensor]]:
+    """Return the step loss of the single denoiser: a branch's (Paper: Eq. 8), every known cell counting alike."""
+    schedule = make_schedule(config.schedule)
+    backend = get_backend("classical")
 
     def step_loss(step: int) -> dict[str, Tensor]:
-        rng = recipes.rng_of(seed, step)
-        batch = draw(scenes, rng.integers(0, len(scenes), RECIPE.batch), rng)
-        image, filled, known = networks.single_latent_input(batch.rgb, batch.depth_n, batch.valid, batch.guide_rgb)
-        with torch.no_grad():
-            masked = autoencoder.encode(filled)
-        x0 = targets[batch.index, batch.flipped.astype(int)].float()
-        t = torch.randint(0, schedule.timesteps, (len(x0),))
-        t[: len(x0) // 3] = schedule.timesteps - 1  # as for the branches
-        eps = torch.randn_like(x0)
-        features = net.features(image.contiguous(memory_format=torch.channels_last))
-        out = net(diffusion.q_sample(x0, t, eps, schedule), t, features, masked, known)
+        batch = draw_frames(pool, RECIPE.batch, config.size, recipes.rng_of(seed, step), backend)
+        views = networks.single_views(batch.rgb, batch.depth_n, batch.valid, batch.guide_rgb)
+        given = condition(views.rgb, views.depth_n, views.valid, views.region, views.guide, evidence=False)
         mask = F.avg_pool2d(batch.gt_known, 4)
-        return {"total": diffusion.loss(out, x0, eps, t, schedule, config.sampler.prediction, mask=mask)}
+        return {"total": recipes.denoising_loss(painter, batch, given, mask, schedule, config.sampler.prediction)}
 
     return step_loss

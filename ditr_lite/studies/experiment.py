@@ -1,7 +1,7 @@
 """A quick experiment: train the tiny system twice, with one setting changed the second time, and compare the two.
 
-Both arms see the same scenes, shrunk to the tiny working size, in the same order, with the same seed and as many steps;
-both are scored on the same frames, so differences are paired. Only what a setting touches is trained again. A tiny
+Both arms see the same scenes in the same order, with the same seed and as many steps; both are scored on the same
+frames, so differences are paired. Only what a setting touches is trained again. A tiny
 system trained for minutes says which way a change points, not how good the shipped system would become by it.
 """
 
@@ -14,18 +14,17 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from ..config import Config, override, preset, to_dict
 from ..data import SAMPLES, read_sample
 from ..evaluation.scoring import DITR, run_methods
-from ..evaluation.statistics import format_interval, paired_bootstrap
+from ..evaluation.statistics import format_interval, interval, mean_known, paired_bootstrap
 from ..pipeline import Ditr, build
 from ..store import CARD, load_part, read_card, save_part
-from ..training.batches import Scenes, checksum, first, join, load_scenes, shrink
 from ..training.loop import Recipe
 from ..training.parts import PARTS, check_same_system, folder_name, train_on
+from ..training.scenes import Scenes, checksum, load_scenes
 
 SCORED = ("optical", "geometric")  # Table V's two kinds of loss
 QUICK = {
@@ -37,6 +36,7 @@ QUICK = {
 }
 TOUCHES = {  # what has to be trained again when a setting, or one below it, changes
     "size": PARTS,
+    "window": ("autoencoder", "optical", "geometric", "detail"),
     "region": ("region",),
     "refine": (),
     "autoencoder": ("autoencoder", "optical", "geometric", "detail"),
@@ -50,6 +50,12 @@ TOUCHES = {  # what has to be trained again when a setting, or one below it, cha
     "detail": ("detail",),
 }
 STAGE_ONE = ("region", "refine")  # settings that say nothing while the true region is given
+DECISIVE = (  # files and folders of the package that decide how an arm is trained; another text there, another arm
+    *("units.py", "config.py", "conditioning.py", "windows.py", "schedule.py", "diffusion.py", "encoder.py"),
+    *("region.py", "boundary", "autoencoder.py", "unet.py", "detail.py", "stage_two.py", "pipeline.py", "data.py"),
+    *("training/scenes.py", "training/views.py", "training/augment.py", "training/batches.py"),
+    *("training/recipes.py", "training/loop.py", "training/parts.py"),
+)
 
 
 def compare(
@@ -109,11 +115,7 @@ def compare(
     if not scored:
         raise ValueError(f"no scenes in {val} to score on: make them with `python -m ditr_lite simulate`")
     samples = [read_sample(path) for path in scored]
-    homes = [SAMPLES / "train"] + ([Path(data)] if data else [])
-    scenes = {
-        size: first(join([shrink(load_scenes(home, limit), size, boundary) for home in homes]), limit)
-        for size in {base.size, config.size}
-    }
+    scenes = some_scenes([SAMPLES / "train"] + ([Path(data)] if data else []), limit)
     seconds, rmse = {}, {}
     with tempfile.TemporaryDirectory() as temporary:
         spare = Path(work or temporary)
@@ -121,22 +123,33 @@ def compare(
             start = None if arm == "default" else (paths["default"], trained)
             own = arm == "default" or out is None
             seconds[arm] = train_arm(
-                given, scenes[given.size], paths[arm], spare / names[arm], recipes, seed, boundary, start, own, command
+                given, scenes, paths[arm], spare / names[arm], recipes, seed, boundary, start, own, command
             )
     for arm, path in paths.items():
         rows = run_methods(samples, Ditr.from_pretrained(path=path), {}, given_region=not found)
-        rmse[arm] = {k: [(s := r["methods"][DITR][k]) and s["rmse"] for r in rows] for k in SCORED}
+        scores = [row["methods"][DITR] for row in rows]
+        rmse[arm] = {k: [each[k] and each[k]["rmse"] for each in scores] for k in SCORED}
     return {
         "settings": {key: str(value) for key, value in settings.items()},
         "trained": list(trained),
         "region": "found" if found else "given",
-        "scenes": len(scenes[base.size]),
+        "scenes": sum(map(len, scenes)),
         "frames": len(samples),
         "seed": seed,
         "seconds": seconds,
         "rmse_m": rmse,
-        "difference": {k: _interval(rmse["changed"][k], rmse["default"][k]) for k in SCORED},
+        "difference": {k: interval(paired_bootstrap, rmse["changed"][k], rmse["default"][k]) for k in SCORED},
     }
+
+
+def some_scenes(homes: Sequence[Path], limit: int | None = None) -> list[Scenes]:
+    """Read the scenes of several folders, the first ``limit`` of all of them together."""
+    groups = []
+    for home in homes:
+        left = None if limit is None else limit - sum(map(len, groups))
+        if left != 0:
+            groups.append(load_scenes(home, left))
+    return groups
 
 
 def touched(base: Config, settings: Mapping[str, Any]) -> tuple[str, ...]:
@@ -155,7 +168,7 @@ def touched(base: Config, settings: Mapping[str, Any]) -> tuple[str, ...]:
 
 def train_arm(
     config: Config,
-    scenes: Scenes,
+    scenes: Sequence[Scenes],
     folder: Path,
     work: Path,
     recipes: Mapping[str, Recipe],
@@ -169,7 +182,7 @@ def train_arm(
 
     Args:
         config: of the arm.
-        scenes: at its working size.
+        scenes: groups of scenes to train on.
         folder: for the weights.
         work: for checkpoints.
         recipes: per part.
@@ -189,7 +202,8 @@ def train_arm(
     begun = time.monotonic()
     for part in parts:
         if start is None or part in start[1]:
-            train_on(part, config, scenes, None, folder, work, recipes[part], seed, command=command, key=key)
+            how = {"seed": seed, "command": command, "boundary": boundary, "key": key}
+            train_on(part, config, scenes, None, folder, work, recipes[part], **how)
         else:
             notes = read_card(start[0])["parts"][part]
             save_part(part, load_part(part, start[0]), config, folder, {**notes, "copied": str(start[0]), "key": key})
@@ -207,32 +221,30 @@ def format_comparison(result: Mapping[str, Any]) -> str:
     ]
     lines += ["".ljust(width) + "".join(key.rjust(26) for key in SCORED)]
     for arm, title in (("default", "tiny as it is"), ("changed", changed)):
-        means = [_mean(result["rmse_m"][arm][key]) for key in SCORED]
-        lines.append(title.ljust(width) + "".join(cell.rjust(26) for cell in means))
+        means = [mean_known(result["rmse_m"][arm][key]) for key in SCORED]
+        cells = ["-" if mean is None else f"{1000 * mean:.1f}" for mean in means]
+        lines.append(title.ljust(width) + "".join(cell.rjust(26) for cell in cells))
     cells = [format_interval(result["difference"][key], 1000) for key in SCORED]
     lines.append("difference".ljust(width) + "".join(cell.rjust(26) for cell in cells))
     lines.append("[95 % interval], paired over frames. Training has its own chance: see whether another seed agrees.")
     return "\n".join(lines)
 
 
-def _mean(values: Sequence[float | None]) -> str:
-    kept = [v for v in values if v is not None]
-    return f"{1000 * np.mean(kept):.1f}" if kept else "-"
+def decisive_files() -> list[Path]:
+    """Return the files of :data:`DECISIVE`, whose texts an arm depends on."""
+    package = Path(__file__).parents[1]
+    files = []
+    for name in DECISIVE:
+        files += [package / name] if name.endswith(".py") else sorted((package / name).glob("*.py"))
+    return files
 
 
-def _interval(a: Sequence[float | None], b: Sequence[float | None]) -> list[float] | None:
-    try:
-        return list(paired_bootstrap(a, b))
-    except ValueError:  # no frame has such pixels
-        return None
-
-
-def _key(config: Config, scenes: Scenes, recipes: Mapping[str, Recipe], *others: Any) -> str:
-    """Return a checksum of all that an arm depends on: sizes, recipes, pictures, and the code itself."""
+def _key(config: Config, scenes: Sequence[Scenes], recipes: Mapping[str, Recipe], *others: Any) -> str:
+    """Return a checksum of all that an arm depends on: sizes, recipes, pictures, and the code that trains it."""
     rates = {part: asdict(r) for part, r in recipes.items()}
-    plain = [to_dict(config), rates, checksum(scenes), others, torch.__version__]
+    plain = [to_dict(config), rates, checksum(*scenes), others, torch.__version__]
     digest = hashlib.sha256(json.dumps(plain).encode())
-    for source in sorted(Path(__file__).parents[1].rglob("*.py")):
+    for source in decisive_files():
         digest.update(source.read_bytes())
     return digest.hexdigest()
 

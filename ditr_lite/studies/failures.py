@@ -4,16 +4,13 @@ Paper: Sec. V-G and Fig. 13 show failures on "very large" and on overlapping obj
 that such failures exist, not that they are more frequent there; a search over all frames can tell.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
-import torch
-from scipy.stats import rankdata
 
 from .. import metrics
-from ..conditioning import depth_bounds, fit
 from ..data import Sample
-from ..pipeline import Ditr
+from ..evaluation.statistics import spearman_bootstrap
 
 MIN_PIXELS = 20  # fewer of an object are a sliver between others, not an object that is seen
 DESCRIBED = {  # what a frame is described by: name -> what it says
@@ -83,48 +80,6 @@ def overlap(instances: np.ndarray, region: np.ndarray) -> float:
     return shared / outline if outline else 0.0
 
 
-@torch.no_grad()
-def found_region(ditr: Ditr, sample: Sample) -> np.ndarray:
-    """Return the refined region (H, W) bool that stage one finds, without running stage two."""
-    frame = fit(sample.depth.shape, ditr.config.size)
-    small = frame.into(sample.rgb), frame.into(sample.depth)
-    return frame.back(ditr.find_region(*small, depth_bounds(sample.depth), frame)[1])
-
-
-def spearman(x: Sequence[float], y: Sequence[float]) -> float:
-    """Return Spearman's rank correlation, -1 to 1: Pearson's of the ranks, equal values sharing their mean rank.
-
-    Raises:
-        ValueError: for fewer than two pairs, or for values that are all alike.
-    """
-    return float(_spearman(*(np.asarray(v, np.float64)[None] for v in (x, y)))[0])
-
-
-def spearman_interval(
-    x: Sequence[float | None], y: Sequence[float | None], n: int = 2000, seed: int = 0
-) -> tuple[float, float, float]:
-    """Return (rho, low, high): Spearman's correlation and its 95 % percentile-bootstrap interval over frames.
-
-    Args:
-        x: one value a frame; None leaves the frame out.
-        y: likewise.
-        n: resamples; those in which all values are alike are left out.
-        seed: of the resampling.
-
-    Raises:
-        ValueError: for lists of different lengths, and as :func:`spearman`.
-    """
-    if len(x) != len(y):
-        raise ValueError(f"x and y should describe the same frames, got {len(x)} and {len(y)} values")
-    pairs = np.array([(a, b) for a, b in zip(x, y, strict=True) if a is not None and b is not None], np.float64)
-    rho = spearman(*pairs.reshape(-1, 2).T)
-    picks = np.random.default_rng(seed).integers(0, len(pairs), size=(n, len(pairs)))
-    drawn = pairs[picks]  # (n, N, 2)
-    varied = (np.ptp(drawn, axis=1) > 0).all(axis=1)
-    low, high = np.percentile(_spearman(drawn[varied, :, 0], drawn[varied, :, 1]), [2.5, 97.5])
-    return rho, float(low), float(high)
-
-
 def correlations(
     errors: Mapping[str, float | None], described: Mapping[str, Description]
 ) -> dict[str, tuple[float, float, float] | None]:
@@ -137,7 +92,7 @@ def correlations(
     out = {}
     for key in DESCRIBED:
         try:
-            out[key] = spearman_interval([described[name][key] for name in names], [errors[name] for name in names])
+            out[key] = spearman_bootstrap([described[name][key] for name in names], [errors[name] for name in names])
         except ValueError:
             out[key] = None
     return out
@@ -164,12 +119,3 @@ def verdict(key: str, rho: tuple[float, float, float] | None) -> str:
         return f"{key}: cannot be told from these frames"
     said = "errors grow with it" if rho[1] > 0 else "errors shrink with it" if rho[2] < 0 else "no measurable relation"
     return "{}: {} (rank correlation {:+.2f} [{:+.2f}, {:+.2f}])".format(key, said, *rho)
-
-
-def _spearman(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the correlation of each row of (n, N) with the same row of the other."""
-    if x.shape != y.shape or x.shape[1] < 2 or (np.ptp(x, axis=1) == 0).any() or (np.ptp(y, axis=1) == 0).any():
-        raise ValueError(f"expected two rows of at least 2 numbers that are not all alike, got {x.shape}, {y.shape}")
-    centred = [rank - rank.mean(axis=1, keepdims=True) for rank in (rankdata(v, axis=1) for v in (x, y))]
-    norms = [np.sqrt((c**2).sum(axis=1)) for c in centred]
-    return (centred[0] * centred[1]).sum(axis=1) / (norms[0] * norms[1])

@@ -15,10 +15,10 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from ..autoencoder import VQAutoencoder, depth_steps
-from ..conditioning import depth_bounds, fill
+from ..conditioning import depth_bounds, fill, without_strays
 from ..config import from_dict
 from ..data import Sample
-from ..evaluation.statistics import bootstrap_mean, format_interval
+from ..evaluation.statistics import bootstrap_mean, format_interval, interval
 from ..metrics import pixel_sets
 from ..store import load_part, read_card
 
@@ -59,8 +59,8 @@ def depth_edges(depth_gt: np.ndarray, relative: float = EDGE) -> np.ndarray:
 def reconstruct(model: VQAutoencoder, sample: Sample) -> tuple[np.ndarray, np.ndarray, Tensor]:
     """Encode and decode the ground truth of one frame, with and without the quantiser.
 
-    It is normalised by the bounds of the *raw* depth, as in inference; where no truth is known, the encoder sees a fill
-    from around.
+    It is normalised by the bounds of the *raw* depth without its strays, as in inference; where no truth is known, the
+    encoder sees a fill from around. The frame is taken as a whole: in windows, which show things larger, less is lost.
 
     Args:
         model: the autoencoder.
@@ -74,7 +74,7 @@ def reconstruct(model: VQAutoencoder, sample: Sample) -> tuple[np.ndarray, np.nd
     """
     if sample.depth_gt is None:
         raise ValueError(f"{sample.name} has no ground-truth depth: there is nothing to encode")
-    bounds = depth_bounds(sample.depth)
+    bounds = depth_bounds(without_strays(sample.depth))
     truth = torch.from_numpy(sample.depth_gt)[None, None]
     known = (truth > 0).float()
     out = model(fill(bounds.normalise(truth) * known, known))
@@ -120,8 +120,8 @@ def measure_floor(samples: Iterable[Sample], model: VQAutoencoder, progress: boo
     return {
         "images": images,
         "edge_step": EDGE,
-        "rmse_m": {name: _interval(values) for name, values in rmse[0].items()},
-        "rmse_m_unquantized": {name: _interval(values) for name, values in rmse[1].items()},
+        "rmse_m": {name: interval(bootstrap_mean, values) for name, values in rmse[0].items()},
+        "rmse_m_unquantized": {name: interval(bootstrap_mean, values) for name, values in rmse[1].items()},
         "pixels": pixels,
         "codes": {
             "total": len(hits),
@@ -172,7 +172,3 @@ def _sets(sample: Sample) -> dict[str, np.ndarray]:
     edge = depth_edges(sample.depth_gt)
     sets = {name: nowhere if found[name] is None else found[name] for name in SETS[:3]}
     return sets | {"edge": edge, "interior": found["whole"] & ~edge}
-
-
-def _interval(values: list[float | None]) -> list[float] | None:
-    return list(bootstrap_mean(values)) if any(v is not None for v in values) else None

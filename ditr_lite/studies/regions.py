@@ -11,12 +11,10 @@ import cv2
 import numpy as np
 
 from .. import metrics
-from ..conditioning import fit
 from ..config import RefineConfig
 from ..data import Sample
-from ..evaluation.stage_one import class_map, mask_errors
+from ..evaluation.stage_one import mask_errors
 from ..pipeline import Ditr
-from ..region import refine_region
 
 
 def offset_region(region: np.ndarray, pixels: int) -> np.ndarray:
@@ -68,11 +66,9 @@ def refinement_costs(ditr: Ditr, sample: Sample, settings: Iterable[RefineConfig
     Returns:
         one row a setting: ``miss_rate``, ``area_ratio`` (to the true region, not refined), ``optical_m``, ``whole_m``.
     """
-    frame = fit(sample.depth.shape, ditr.config.size)
-    found = frame.into(class_map(ditr, sample.rgb, sample.depth)) > 0
     rows = []
-    for r in settings:
-        region = frame.back(refine_region(found, r.median, r.dilate, r.iterations) & frame.picture)
+    for refine in settings:
+        region = ditr.find_region(sample.rgb, sample.depth, refine=refine)[1]
         depth = ditr(sample.rgb, sample.depth, region, samples=1).depth
         rows.append({**mask_errors(region, sample.region), **_final(depth, sample)})
     return rows

@@ -3,21 +3,27 @@
 Each condition takes a frame that is fine and a strength, and returns the frame as another camera, room or distance
 would have given it, truth included. Strengths that change nothing are among them, so that every curve has its own zero.
 
+Disturbances are single ones that a working system must take nearly without harm: each is scored on the pixels that the
+undisturbed frame shows as well, so that the ratio of the two errors says what it costs.
+
 Paper: Sec. V-F tests "other scenarios" by looking; here they are counted.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import cv2
 import numpy as np
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from tqdm.auto import tqdm
 
 from .. import metrics
-from ..baselines import REGISTRY, compose
+from ..baselines import REGISTRY
 from ..data import Sample
-from ..pipeline import Ditr
+from ..evaluation.statistics import bootstrap_mean, format_interval, interval, mean_known, ratio_bootstrap
+from ..pipeline import Ditr, compose
 from ..units import clean_depth
 
 Condition = Callable[[Sample, float], Sample]
@@ -142,14 +148,16 @@ def run(
         scored = [_score(ditr, frame, given_region) for frame in frames]
         row: dict[str, Any] = {"strength": strength, "finite": all(s["finite"] for s in scored)}
         for method in ("ditr", BESIDE):
-            row[method] = {key: _mean([s[method][key] for s in scored]) for key in ("optical", "outside")}
+            means = {key: mean_known([s[method][key] for s in scored]) for key in ("optical", "outside")}
+            row[method] = {key: None if mean is None else round(mean, 5) for key, mean in means.items()}
         out[name]["rows"].append(row)
     return out
 
 
 def _score(ditr: Ditr, frame: Sample, given: bool) -> dict[str, Any]:
     result = ditr(frame.rgb, frame.depth, frame.region if given else None)
-    plain = compose(REGISTRY[BESIDE](frame.rgb, frame.depth, result.region), frame.depth, result.region)
+    filled = REGISTRY[BESIDE](frame.rgb, frame.depth, result.region)
+    plain = compose(frame.depth, filled, filled, result.region)
     typical = float(np.median(frame.depth_gt[frame.depth_gt > 0]))
     out: dict[str, Any] = {"finite": bool(np.isfinite(result.depth).all() and (result.depth > 0).all())}
     for name, depth in (("ditr", result.depth), (BESIDE, plain)):
@@ -158,9 +166,209 @@ def _score(ditr: Ditr, frame: Sample, given: bool) -> dict[str, Any]:
     return out
 
 
-def _mean(values: Sequence[float | None]) -> float | None:
-    kept = [v for v in values if v is not None]
-    return round(float(np.mean(kept)), 5) if kept else None
+@dataclass(frozen=True)
+class Disturbed:
+    """A frame as another camera, mounting or room would have given it, beside the one that it was made from.
+
+    Attributes:
+        frame: with truth, and with the region in which it is scored.
+        counterpart: (H, W) bool, the pixels of the undisturbed frame that show what the region of ``frame`` shows.
+        scale: by how much everything is farther away; errors are divided by it.
+    """
+
+    frame: Sample
+    counterpart: np.ndarray
+    scale: float = 1.0
+
+
+def room_behind(sample: Sample, metres: float, share: float = 0.15, border: float = 0.12) -> Disturbed:
+    """Put the left ``share`` of the picture ``metres`` away; the region counts from ``border`` farther right on."""
+    column = np.arange(sample.depth.shape[1]) / sample.depth.shape[1]
+    behind = np.broadcast_to(column < share, sample.depth.shape)
+    depth = np.where(behind & (sample.depth > 0), np.float32(metres), sample.depth)
+    truth = np.where(behind, np.float32(metres), sample.depth_gt)
+    region = sample.region & (column > share + border)
+    return Disturbed(replace(sample, depth=depth, depth_gt=truth, region=region, material=None), region)
+
+
+def far_strays(sample: Sample, count: int) -> Disturbed:
+    """Let ``count`` readings outside the region be anything from 5 to 40 m."""
+    return _strays(sample, count, lambda rng: rng.uniform(5, 40, count))
+
+
+def near_strays(sample: Sample, count: int) -> Disturbed:
+    """Let ``count`` readings outside the region be at 5 to 50 % of the frame's median."""
+    typical = float(np.median(sample.depth[sample.depth > 0]))
+    return _strays(sample, count, lambda rng: typical * rng.uniform(0.05, 0.5, count))
+
+
+def _strays(sample: Sample, count: int, draw: Callable[[np.random.Generator], np.ndarray]) -> Disturbed:
+    rng = _rng(sample, 5)
+    places = np.argwhere((sample.depth > 0) & ~sample.region)
+    rows, columns = rng.permutation(places)[:count].T
+    depth = sample.depth.copy()
+    depth[rows, columns] = draw(rng)[: len(rows)]
+    return Disturbed(replace(sample, depth=depth), sample.region)
+
+
+def turned(sample: Sample, quarters: int) -> Disturbed:
+    """Turn everything by quarters of a full turn, as a camera mounted on its side or upside down does."""
+    return Disturbed(_each(sample, lambda a: np.ascontiguousarray(np.rot90(a, quarters))), sample.region)
+
+
+def farther(sample: Sample, factor: float) -> Disturbed:
+    """Put everything, larger in proportion, ``factor`` times as far away: the picture stays as it is."""
+    depth, truth = sample.depth * np.float32(factor), sample.depth_gt * np.float32(factor)
+    return Disturbed(replace(sample, depth=depth, depth_gt=truth), sample.region, factor)
+
+
+def few_readings(sample: Sample, count: int) -> Disturbed:
+    """Keep ``count`` readings outside the region, in a picture of :data:`WIDE` columns."""
+    large = _enlarged(sample)
+    places = np.argwhere((large.depth > 0) & ~large.region)
+    rows, columns = _rng(sample, 6).permutation(places)[:count].T
+    depth = np.zeros_like(large.depth)
+    depth[rows, columns] = large.depth[rows, columns]
+    return Disturbed(replace(large, depth=depth), sample.region)
+
+
+def scan_lines(sample: Sample, count: int) -> Disturbed:
+    """Keep ``count`` exact rows outside the region, as a scanner gives them, in a picture of :data:`WIDE` columns."""
+    large = _enlarged(sample)
+    height = large.depth.shape[0]
+    rows = np.arange(count) * (height // count) + 2
+    depth = np.zeros_like(large.depth)
+    depth[rows] = large.depth_gt[rows]
+    return Disturbed(replace(large, depth=np.where(large.region, np.float32(0), depth)), sample.region)
+
+
+def _enlarged(sample: Sample) -> Sample:
+    """Return the frame with :data:`WIDE` columns: depth and masks by repetition, colour smoothly."""
+    size = (round(WIDE * sample.depth.shape[0] / sample.depth.shape[1]), WIDE)
+    large = _each(sample, lambda a: a if a.ndim == 3 else _resize(a, size))
+    return replace(large, rgb=cv2.resize(sample.rgb, size[::-1], interpolation=cv2.INTER_CUBIC))
+
+
+WIDE = 1024  # columns of a picture with sparse readings
+SPARSE = ("300 readings", "16 scan lines")
+DISTURBANCES: dict[str, Callable[[Sample], Disturbed]] = {
+    **{f"room at {metres} m": partial(room_behind, metres=metres) for metres in (2, 4, 10)},
+    **{f"{count} far strays": partial(far_strays, count=count) for count in (10, 50, 250)},
+    "50 near strays": partial(near_strays, count=50),
+    **{f"turned by {90 * k}": partial(turned, quarters=k) for k in (1, 2, 3)},
+    **{f"distance x {factor}": partial(farther, factor=factor) for factor in (0.1, 3)},
+    "300 readings": partial(few_readings, count=300),
+    "16 scan lines": partial(scan_lines, count=16),
+}
+REGIONS = ("found", "given")  # by stage one, or the true one
+
+
+def run_disturbances(
+    ditr: Ditr,
+    samples: Sequence[Sample],
+    disturbances: Mapping[str, Callable[[Sample], Disturbed]] = DISTURBANCES,
+    progress: bool = True,
+) -> dict[str, Any]:
+    """Score the system on frames as they are and disturbed, with the region found by stage one and given.
+
+    Args:
+        ditr: the system.
+        samples: frames with truth and region.
+        disturbances: as :data:`DISTURBANCES`.
+        progress: show a bar.
+
+    Returns:
+        disturbance -> "found" and "given" -> the RMSE in metres inside the region, divided by the scale:
+        ``disturbed_m``, ``undisturbed_m`` and, where readings are sparse, ``linear_m`` of linear interpolation, each
+        one value a frame, None where nothing can be scored.
+    """
+    rows = {name: {region: _empty_row(name) for region in REGIONS} for name in disturbances}
+    for sample in tqdm(samples, desc="disturbances", unit="frame", **({} if progress else {"disable": True})):
+        plain = {region: _completed(ditr, sample, region) for region in REGIONS}
+        for name, disturb in disturbances.items():
+            made = disturb(sample)
+            for region in REGIONS:
+                row = rows[name][region]
+                row["disturbed_m"].append(_error(_completed(ditr, made.frame, region), made.frame, made.scale))
+                row["undisturbed_m"].append(_error(plain[region], replace(sample, region=made.counterpart)))
+                if "linear_m" in row:
+                    row["linear_m"].append(_error(linear(made.frame), made.frame))
+    return rows
+
+
+def _empty_row(name: str) -> dict[str, list]:
+    return {key: [] for key in ("disturbed_m", "undisturbed_m", *["linear_m"] * (name in SPARSE))}
+
+
+def _completed(ditr: Ditr, frame: Sample, region: str) -> np.ndarray:
+    return ditr(frame.rgb, frame.depth, frame.region if region == "given" else None).depth
+
+
+def _error(depth: np.ndarray, frame: Sample, scale: float = 1.0) -> float | None:
+    """Return the RMSE in the frame's region, divided by the scale; None where it holds no truth."""
+    if not (frame.region & (frame.depth_gt > 0)).any():
+        return None
+    return round(metrics.rmse(depth, frame.depth_gt, frame.region) / scale, 6)
+
+
+def linear(frame: Sample) -> np.ndarray:
+    """Return depth (H, W) that is interpolated linearly, inside the region, between the readings outside of it.
+
+    Between the corners of a Delaunay triangulation; beyond its border the nearest reading counts. Outside the region
+    the readings are returned as they are, 0 where there are none.
+    """
+    places = np.argwhere((frame.depth > 0) & ~frame.region)
+    readings = frame.depth[tuple(places.T)].astype(np.float64)
+    wanted = np.argwhere(frame.region)
+    found = LinearNDInterpolator(places, readings)(wanted)
+    beyond = np.isnan(found)
+    found[beyond] = NearestNDInterpolator(places, readings)(wanted[beyond])
+    depth = frame.depth.copy()
+    depth[frame.region] = found
+    return depth
+
+
+def summarise_disturbances(rows: Mapping[str, Any]) -> dict[str, Any]:
+    """Return disturbance -> region -> ``ratio`` of the errors and ``rmse_m``, both [mean, low, high], 95 %.
+
+    Intervals are over frames and paired. Where readings are sparse also ``of_linear``, the error over that of linear
+    interpolation, and ``linear_m``.
+    """
+    table: dict[str, Any] = {}
+    for name, regions in rows.items():
+        table[name] = {}
+        for region, row in regions.items():
+            disturbed = row["disturbed_m"]
+            entry = {
+                "ratio": interval(ratio_bootstrap, disturbed, row["undisturbed_m"], digits=4),
+                "rmse_m": interval(bootstrap_mean, disturbed, digits=6),
+            }
+            if "linear_m" in row:
+                entry["of_linear"] = interval(ratio_bootstrap, disturbed, row["linear_m"], digits=4)
+                entry["linear_m"] = interval(bootstrap_mean, row["linear_m"], digits=6)
+            table[name][region] = entry
+    return table
+
+
+def format_disturbances(table: Mapping[str, Any]) -> str:
+    """Return :func:`summarise_disturbances`' table as text."""
+    width = max(len(name) for name in table)
+    lines = [" " * width + "".join(f"{f'region {r}: mm':>16}{'ratio to undisturbed':>24}" for r in REGIONS)]
+    for name, regions in table.items():
+        line = name.ljust(width)
+        for region in REGIONS:
+            entry = regions[region]
+            level = "-" if entry["rmse_m"] is None else f"{1000 * entry['rmse_m'][0]:.1f}"
+            line += level.rjust(16) + format_interval(entry["ratio"], style=".2f").rjust(24)
+        lines.append(line)
+        if "of_linear" in regions["found"]:
+            line = "  over linear interpolation".ljust(width)
+            for region in REGIONS:
+                entry = regions[region]
+                level = "-" if entry["linear_m"] is None else f"{1000 * entry['linear_m'][0]:.1f}"
+                line += level.rjust(16) + format_interval(entry["of_linear"], style=".2f").rjust(24)
+            lines.append(line)
+    return "\n".join(lines)
 
 
 def _rng(sample: Sample, stream: int) -> np.random.Generator:

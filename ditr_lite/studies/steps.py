@@ -2,17 +2,20 @@
 
 Paper: Sec. V-B states 1,000 steps and no number of samples. A sample is one possible depth, with edges; the mean of
 samples is the better bet by RMSE and a worse depth map. One step from pure noise returns nearly the mean already.
+The paper scores one map per frame by its distance to the truth, for which a mean is the best answer. Draws can be asked
+more: whether surfaces keep their edges, whether the truth lies among them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 
 from .. import metrics
 from ..data import Sample
-from ..evaluation.draws import flying_share
 from ..evaluation.statistics import bootstrap_mean, format_interval, paired_bootstrap
+from ..pipeline import Ditr
 
 SETS = ("optical", "geometric")
 # steps -> (frames, members drawn for each): many steps are dear, so fewer frames are asked; rows say how many
@@ -25,6 +28,61 @@ MEASURES = {  # of a frame's members -> what it is called
     "flying_single": "flying in a draw",
     "flying_mean": "flying in their mean",
 }
+
+JUMP_M, CLEAR_M = 0.04, 0.01  # what is a depth edge, and how far from both surfaces a pixel must hang to fly
+SCORES = {  # name -> what it says, and whether less is better
+    "mean_mm": ("optical RMSE of the draws' mean, mm", True),
+    "single_mm": ("of a single draw, mm", True),
+    "crps_mm": ("CRPS, mm", True),
+    "flying_mean": ("pixels at depth edges that fly, mean, %", True),
+    "flying_single": ("the same of a single draw, %", True),
+    "coverage": ("truths between lowest and highest draw, %", False),
+}
+
+
+def draw_frame(ditr: Ditr, sample: Sample, steps: int, count: int = 4, seed: int = 0) -> np.ndarray:
+    """Return ``count`` completions of a frame with its true region, (S, H, W) metres, one seed after the other.
+
+    Raises:
+        ValueError: for a frame without a region.
+    """
+    if sample.region is None:
+        raise ValueError(f"{sample.name} has no true region: draws are compared where it is known")
+    given = (sample.rgb, sample.depth, sample.region)
+    return np.stack([ditr(*given, steps=steps, samples=1, seed=seed + k).depth for k in range(count)])
+
+
+def flying_share(depth: np.ndarray, truth: np.ndarray, region: np.ndarray) -> float | None:
+    """Return what share, in per cent, of the region's pixels at depth edges hang between the two surfaces.
+
+    Args:
+        depth: (H, W) metres.
+        truth: (H, W) metres.
+        region: (H, W) bool.
+
+    Returns:
+        None for a region without a depth edge of :data:`JUMP_M` within two pixels.
+    """
+    near, far = (extreme(truth, np.ones((5, 5), np.uint8)) for extreme in (cv2.erode, cv2.dilate))
+    edge = (far - near > JUMP_M) & region & (near > 0)
+    between = (depth > near + CLEAR_M) & (depth < far - CLEAR_M) & (np.abs(depth - truth) > CLEAR_M)
+    return float(100 * between[edge].mean()) if edge.any() else None
+
+
+def draw_scores(members: np.ndarray, sample: Sample) -> dict[str, float | None]:
+    """Return the figures of :data:`SCORES` of draws (S, H, W) of a frame, inside its region."""
+    truth, region, mean = sample.depth_gt, sample.region, members.mean(axis=0)
+    known = region & (truth > 0)
+    covered = (members.min(axis=0) <= truth) & (truth <= members.max(axis=0))
+    flying = [flying_share(m, truth, region) for m in members]
+    return {
+        "mean_mm": 1000 * metrics.rmse(mean, truth, region),
+        "single_mm": 1000 * float(np.mean([metrics.rmse(m, truth, region) for m in members])),
+        "crps_mm": 1000 * metrics.crps(members, truth, region),
+        "flying_mean": flying_share(mean, truth, region),
+        "flying_single": None if None in flying else float(np.mean(flying)),
+        "coverage": float(100 * covered[known].mean()),
+    }
 
 
 def score_members(members: Sequence[np.ndarray], sample: Sample) -> dict[str, Any]:

@@ -6,24 +6,25 @@ a system could learn to do without. Paper: Table IV takes stage one away (here `
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from torch import nn
 from tqdm.auto import tqdm
 
 from .. import metrics
 from ..boundary import M_DA, M_RGB
 from ..config import RefineConfig
 from ..data import Sample
-from ..evaluation.statistics import bootstrap_mean, paired_bootstrap
+from ..evaluation.statistics import bootstrap_mean, interval, paired_bootstrap
 from ..paper.tables import T1, T5
-from ..pipeline import BRANCHES, Ditr
+from ..pipeline import Ditr, check_inputs, compose
+from ..stage_two import BRANCHES, Plan
 
 SCORED = ("optical", "geometric", "outside", "whole")
 PARTS = ("geometric", "optical", "whole")  # Table V's two, and Table I's
 TABLE_V = ("rmse", "mae", "rel")
+DIGITS = 5  # of metres: a hundredth of a millimetre
 Rows = dict[str, list[dict[str, Any]]]
 
 
@@ -34,7 +35,7 @@ class Swap:
     Attributes:
         says: what, in words.
         guides: which boundary map guides the optical and the geometric branch; None for an empty one.
-        only: the branch that paints everything; None for each its own.
+        only: the branch that paints everything, with its own guide; None for each its own part.
         evidence: whether the optical branch may see in-region readings.
         detail: whether the finer final step is taken.
         refine: of the found region; None for the configuration's.
@@ -59,6 +60,13 @@ class Swap:
                 f"got {self.only!r}, {self.region!r}"
             )
 
+    @property
+    def plan(self) -> Plan:
+        """Return what stage two is told."""
+        painters = (self.only, self.only) if self.only else BRANCHES
+        guides = tuple(self.guides[BRANCHES.index(painter)] for painter in painters)
+        return Plan(painters, guides, self.evidence, self.detail)
+
 
 SWAPS: dict[str, Swap] = {
     "default": Swap("the shipped system"),
@@ -76,21 +84,19 @@ SWAPS: dict[str, Swap] = {
 }
 
 
-class Swapped(Ditr):
-    """The system ``ditr`` with one thing exchanged; networks and boundary backend are shared with it.
+@dataclass(frozen=True)
+class Swapped:
+    """A system with one thing exchanged, which is told to it with every frame: the system itself stays as it is.
 
     The finer final step keeps its own guide, M_RGB, whatever the branches are given: one thing at a time.
+
+    Attributes:
+        ditr: the system.
+        swap: what is exchanged.
     """
 
-    def __init__(self, ditr: Ditr, swap: Swap):
-        self.__dict__.update(vars(ditr))
-        self.swap = swap
-        evidence = ditr.config.evidence and swap.evidence
-        self.config = replace(ditr.config, refine=swap.refine or ditr.config.refine, evidence=evidence)
-        self.guides = dict(zip(BRANCHES, swap.guides, strict=True))
-        self.painters = (swap.only,) * 2 if swap.only else ditr.painters
-        if not swap.detail:
-            self.parts = nn.ModuleDict({name: part for name, part in ditr.parts.items() if name != "detail"})
+    ditr: Ditr
+    swap: Swap
 
     def complete(self, sample: Sample, samples: int | None = None, seed: int = 0) -> np.ndarray:
         """Return the completed depth (H, W) in metres; ``samples`` and ``seed`` as for :class:`Ditr`.
@@ -98,10 +104,26 @@ class Swapped(Ditr):
         Raises:
             ValueError: where the true region is wanted and not known.
         """
+        return self.paint(sample, self.region(sample), samples, seed)
+
+    def region(self, sample: Sample) -> np.ndarray:
+        """Return the region (H, W) bool that the swap gives or lets stage one find."""
         if self.swap.region == "true" and sample.region is None:
             raise ValueError(f"{sample.name} has no true region to give; choose a swap whose region is found")
-        region = {"found": None, "true": sample.region, "empty": np.zeros(sample.depth.shape, bool)}[self.swap.region]
-        return self(sample.rgb, sample.depth, region, samples=samples, seed=seed).depth
+        if self.swap.region == "true":
+            return sample.region
+        if self.swap.region == "empty":
+            return np.zeros(sample.depth.shape, bool)
+        rgb, depth, _ = check_inputs(sample.rgb, sample.depth, None, 1)
+        return self.ditr.find_region(rgb, depth, refine=self.swap.refine)[1]
+
+    def paint(self, sample: Sample, region: np.ndarray, samples: int | None = None, seed: int = 0) -> np.ndarray:
+        """Return the completed depth (H, W) in metres for a region (H, W) bool."""
+        sampler = self.ditr.config.sampler
+        samples = sampler.samples if samples is None else samples
+        rgb, depth, region = check_inputs(sample.rgb, sample.depth, region, samples)
+        painting = self.ditr.inpaint(rgb, depth, region, sampler.steps, samples, seed, self.swap.plan)
+        return compose(depth, painting.optical, painting.geometric, region)
 
 
 def run(
@@ -145,15 +167,16 @@ def summary(rows: Rows, swaps: Mapping[str, Swap] = SWAPS) -> dict[str, Any]:
         other = None if swaps[name].against == name else swaps[name].against
         out[name] = {"says": swaps[name].says, "against": other}
         for key in SCORED:
-            minus = other and interval(paired_bootstrap, rmse[name][key], rmse[other][key])
-            out[name][key] = {"rmse_m": interval(bootstrap_mean, rmse[name][key]), "minus_m": minus}
+            minus = other and interval(paired_bootstrap, rmse[name][key], rmse[other][key], digits=DIGITS)
+            out[name][key] = {"rmse_m": interval(bootstrap_mean, rmse[name][key], digits=DIGITS), "minus_m": minus}
     return out
 
 
 def breakdown(scores: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, list[float] | None]]:
     """Return Table V's figures of one system: part -> metric -> [mean, low, high] over frames, metres or a ratio."""
     return {
-        part: {m: interval(bootstrap_mean, [s[part] and s[part][m] for s in scores]) for m in TABLE_V} for part in PARTS
+        part: {m: interval(bootstrap_mean, [s[part] and s[part][m] for s in scores], digits=DIGITS) for m in TABLE_V}
+        for part in PARTS
     }
 
 
@@ -185,11 +208,3 @@ def beside_table_v(parts: Mapping[str, Mapping[str, Any]]) -> str:
             line = f"{part:10}{metric.upper():5}{mean:8.4f} [{low:7.4f}, {high:.4f}]{{:15.3f}}{{:16.3f}}".format(*both)
             lines.append(line + (" (T1)" if part == "whole" else ""))
     return "\n".join(lines)
-
-
-def interval(bootstrap, *values) -> list[float] | None:
-    """Return [mean, low, high] rounded to a hundredth of a millimetre; None where no frame has such pixels."""
-    try:
-        return [round(x, 5) for x in bootstrap(*values)]
-    except ValueError:  # no frame has both
-        return None

@@ -1,10 +1,13 @@
 """What was tried and what was chosen: every comparison on validation scenes that the committed results hold.
 
 Winners alone would hide what they cost and how near the others came. Paper: no table of this kind is given.
+
+The open choices of stage two are tried here, one setting at a time, on the tiny system: the paper leaves most of them
+open. A tiny system trained for a minute tells which way a choice points and its price; the shipped one was not trained
+a dozen times over. ``tools/setting_study.py`` runs it.
 """
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,9 +15,24 @@ import numpy as np
 
 from ..config import from_dict, override, preset
 from ..evaluation.costs import costs
-from ..evaluation.statistics import format_interval, paired_bootstrap
+from ..evaluation.results import read
+from ..evaluation.statistics import SeedComparison, compare_seeds, format_interval, mean_known, paired_bootstrap
 from ..store import WEIGHTS, read_card
-from .settings import DEFAULT, against_default, errors
+from .experiment import compare
+
+DEFAULT = "the default"
+MANY = {"unet.anchor": "false", "sampler.steps": "10"}  # noise cannot be told from pure noise in a single step
+SETTINGS: dict[str, dict[str, str]] = {
+    "predicts x0, not what to add": {"unet.anchor": "false"},
+    "predicts eps, 10 steps": {"sampler.prediction": "eps", **MANY},
+    "predicts v, 10 steps": {"sampler.prediction": "v", **MANY},
+    "cosine schedule": {"schedule.name": "cosine"},
+    "no evidence": {"evidence": "false"},
+    "the latent asks": {"unet.query": "latent"},
+    "twice the width": {"unet.width": "16"},
+    "no detail network": {"detail.width": "0"},
+}
+Row = dict[str, Any]
 
 
 class Trial(NamedTuple):
@@ -33,9 +51,7 @@ class Trial(NamedTuple):
 
 def trials(folder: Path | str = WEIGHTS) -> list[Trial]:
     """Read what was tried from ``results_factors.json``, ``_region``, ``_settings`` and the card in ``folder``."""
-    factors, region, settings = (
-        json.loads((Path(folder) / f"results_{name}.json").read_text()) for name in ("factors", "region", "settings")
-    )
+    factors, region, settings = (read(name, folder) for name in ("factors", "region", "settings"))
     shipped = 2 ** len(from_dict(read_card(folder)["config"]).autoencoder.multipliers)
     found = []
     for row in factors["rows"]:
@@ -47,7 +63,7 @@ def trials(folder: Path | str = WEIGHTS) -> list[Trial]:
         error = row["optical_m"]["mean"][0]
         found.append(Trial("refinement", name, error, name == region["shipped"], price, region["command"]))
     tuning = region["finetuning"]
-    before = {k: np.mean([v for v in tuning["before"][k] if v is not None]) for k in ("optical_m", "whole_m")}
+    before = {k: mean_known(tuning["before"][k]) for k in ("optical_m", "whole_m")}
     variants = {"not fine-tuned": before} | {
         name: {k: before[k] + row["change"][k][0] for k in before}
         for name, row in tuning.items()
@@ -67,6 +83,53 @@ def trials(folder: Path | str = WEIGHTS) -> list[Trial]:
         error = float(errors(row).mean())
         found.append(Trial("stage two, tiny", name, error, name == DEFAULT, price, settings["command"]))
     return found
+
+
+def try_settings(
+    settings: Mapping[str, Mapping[str, str]] = SETTINGS,
+    seeds: Sequence[int] = (0, 1),
+    save: Callable[[dict[str, Row]], None] = lambda rows: None,
+    **how: Any,
+) -> dict[str, Row]:
+    """Try every setting with every seed.
+
+    Args:
+        settings: name -> dotted setting -> value.
+        seeds: of training.
+        save: called with the rows so far after every training.
+        how: passed to :func:`studies.experiment.compare`: data, folder, limit, ...
+
+    Returns:
+        name -> ``settings``, ``seconds`` (of training, per seed) and ``rmse_m``: pixel set -> seed -> one value a frame
+        or None; the first row is the default's.
+    """
+    rows: dict[str, Row] = {name: _row(chosen) for name, chosen in {DEFAULT: {}, **settings}.items()}
+    for seed in seeds:
+        for name, chosen in settings.items():
+            result = compare(chosen, seed=seed, **how)
+            for row, arm in ((DEFAULT, "default"), (name, "changed")):
+                if row == DEFAULT and len(rows[row]["seconds"]) > seeds.index(seed):
+                    continue  # the same weights as in the comparison before
+                rows[row]["seconds"].append(round(result["seconds"][arm], 1))
+                for key, values in result["rmse_m"][arm].items():
+                    rows[row]["rmse_m"].setdefault(key, []).append(values)
+            save(rows)
+    return rows
+
+
+def against_default(rows: Mapping[str, Row], name: str, key: str = "optical") -> SeedComparison:
+    """Return how a setting compares with the default, in metres, over the frames that hold such pixels."""
+    return compare_seeds(errors(rows[name], key), errors(rows[DEFAULT], key))
+
+
+def errors(row: Row, key: str = "optical") -> np.ndarray:
+    """Return a row's RMSE (S, N) in metres: seeds by frames, without the frames that hold no such pixel."""
+    seen = np.array(row["rmse_m"][key], dtype=np.float64)  # None becomes NaN; a frame has none under any seed
+    return seen[:, ~np.isnan(seen).any(axis=0)]
+
+
+def _row(settings: Mapping[str, str]) -> Row:
+    return {"settings": dict(settings), "seconds": [], "rmse_m": {}}
 
 
 def format_trials(found: Sequence[Trial]) -> str:

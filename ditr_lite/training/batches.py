@@ -28,11 +28,19 @@ class Batch:
     guide_rgb: Tensor | None
     guide_da: Tensor | None
 
+    @property
+    def truth_m(self) -> Tensor:
+        """Ground truth (B, 1, H, W) in metres, 0 where unknown."""
+        return self.bounds.denormalise(self.gt_n) * self.gt_known
+
     def relative_error(self, depth_n: Tensor) -> Tensor:
         """Return (predicted - true) / middle of the frame, (B, 1, H, W); 0 where the truth is unknown."""
+        return self.relative_error_m(self.bounds.denormalise(depth_n))
+
+    def relative_error_m(self, depth_m: Tensor) -> Tensor:
+        """Do what :meth:`relative_error` does with a prediction (B, 1, H, W) in metres."""
         middle = (self.bounds.low * self.bounds.high).sqrt()
-        error = (self.bounds.denormalise(depth_n) - self.bounds.denormalise(self.gt_n)) / middle
-        return torch.where(self.gt_known > 0, error, 0.0)
+        return torch.where(self.gt_known > 0, (depth_m - self.truth_m) / middle, 0.0)
 
 
 def batch_of(views: list[View], backend: Backend | None = None, around: bool = False) -> Batch:
@@ -100,6 +108,16 @@ def frames_in_order(
     """Yield all scenes as whole frames, ``count`` at a time, as they are."""
     for start in range(0, len(scenes), count):
         views = [frame_view(scenes, i, size, None) for i in range(start, min(start + count, len(scenes)))]
+        yield batch_of(views, backend)
+
+
+def frames_shuffled(
+    scenes: Scenes, size: tuple[int, int], count: int, rng: np.random.Generator, backend: Backend | None = None
+) -> Iterator[Batch]:
+    """Yield every scene once as a whole frame, in random order, moved, turned and disturbed; the last may be fewer."""
+    order = rng.permutation(len(scenes))
+    for start in range(0, len(order), count):
+        views = [disturb(frame_view(scenes, i, size, rng), rng) for i in order[start : start + count]]
         yield batch_of(views, backend)
 
 

@@ -11,13 +11,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ..boundary import precision_recall_f, true_maps
-from ..boundary.learned import begin_with_stage_one, build, depth_image, thin
+from ..boundary import boundaries_from_labels, depth_boundaries, precision_recall_f
+from ..boundary.learned import begin_with_stage_one, build_nets, depth_input, thin
+from ..conditioning import to_tensor
 from ..config import from_dict, preset
-from ..data import read_sample
 from ..store import CARD, load_part, read_card, save_part
-from .batches import Scenes, checksum, draw, load_scenes
+from .augment import colours
 from .loop import Recipe, fit
+from .recipes import cl, rng_of
+from .scenes import Scenes, checksum, load_scenes
+from .views import lose
 
 RECIPE = Recipe(steps=3000, batch=8, lr=3e-3, warmup=30, decay=0.99)
 DEPTH_SHARE = 1 / 3  # of the steps, for the depth network: there is less to see in depth
@@ -26,20 +29,13 @@ CROP = (96, 128)  # pixels of a frame that a step looks at: outlines are everywh
 THRESHOLDS = (0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)
 
 
-def with_outlines(scenes: Scenes, folder: Path | str) -> Scenes:
-    """Return the scenes with their exact outlines in the place of guides, so that batches carry them.
-
-    Args:
-        scenes: from :func:`training.batches.load_scenes`.
-        folder: they were loaded from; instances are read there.
-
-    Raises:
-        ValueError: for a scene without instances.
-    """
-    truth = np.empty((len(scenes), 2, *scenes.depth.shape[1:]), np.uint8)
-    for i, name in enumerate(scenes.names):
-        truth[i] = true_maps(read_sample(Path(folder) / name))
-    return replace(scenes, guides=truth)
+def exact_outlines(scenes: Scenes) -> dict[str, np.ndarray]:
+    """Return what each network should find, "rgb" and "depth", (N, H, W) bool each."""
+    found = {"rgb": [], "depth": []}
+    for instances, gt in zip(scenes.instances, scenes.depth_gt, strict=True):
+        found["rgb"].append(boundaries_from_labels(instances))
+        found["depth"].append(depth_boundaries(instances, gt.astype(np.float32) / 1000))
+    return {mode: np.stack(maps) for mode, maps in found.items()}
 
 
 def boundary_step(
@@ -50,53 +46,64 @@ def boundary_step(
     That is what scoring at a tolerance of one pixel asks, and it does not punish a network for not knowing on which of
     two neighbouring pixels an edge lies. Depth is unknown where the truth is: nothing is asked there.
     """
+    outlines = exact_outlines(scenes)[mode]
 
     def step_loss(step: int) -> dict[str, Tensor]:
-        rng = np.random.default_rng([seed, step])
-        index = rng.integers(0, len(scenes), recipe.batch)
-        top, left = (int(rng.integers(0, n - c + 1)) for n, c in zip(scenes.depth.shape[1:], CROP, strict=True))
-        here = np.s_[..., top : top + CROP[0], left : left + CROP[1]]
-        if mode == "rgb":  # colours are costly to vary: cut first
-            batch = draw(_cut(scenes, index, here), np.arange(recipe.batch), rng)
-            x, near, known = batch.rgb, _near(batch.guide_rgb), batch.gt_known
-        else:  # the bounds are those of the whole frame: cut last
-            batch = draw(scenes, index, rng, colour=False)
-            x, near, known = depth_image(batch.depth_n[here], batch.valid[here]), batch.guide_da[here], batch.gt_known
-            near, known = _near(near), known[here]
-        logits = model(x.contiguous(memory_format=torch.channels_last))
-        return {"total": F.binary_cross_entropy_with_logits(logits, near, known)}
+        rng = rng_of(seed, step)
+        crops = [draw_crop(mode, scenes, outlines, rng) for _ in range(recipe.batch)]
+        x, boundary, known = (torch.cat(column) for column in zip(*crops, strict=True))
+        near = F.max_pool2d(boundary, 3, 1, 1)  # within a pixel, diagonals too
+        return {"total": F.binary_cross_entropy_with_logits(model(cl(x)), near, known)}
 
     return step_loss
 
 
-def _near(boundary: Tensor) -> Tensor:
-    return F.max_pool2d(boundary, 3, 1, 1)  # within a pixel, diagonals too
+def draw_crop(
+    mode: str, scenes: Scenes, outlines: np.ndarray, rng: np.random.Generator
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return a crop of a random scene, now and then mirrored, its colours varied or readings lost.
 
+    Args:
+        mode: "rgb" or "depth".
+        scenes: to draw from.
+        outlines: (N, H, W) bool, the exact ones.
+        rng: everything random comes from it.
 
-def _cut(scenes: Scenes, index: np.ndarray, here: tuple) -> Scenes:
-    """Return a window of some scenes; its raw depth is all one, because nothing will look at it."""
-    rgb = scenes.rgb[index][:, *here[1:]]
-    maps = {k: getattr(scenes, k)[index][here] for k in ("depth_gt", "material", "guides")}
-    return Scenes([scenes.names[i] for i in index], rgb, np.full(rgb.shape[:3], 1000, np.uint16), **maps)
+    Returns:
+        what the network is shown, (1, 3, h, w); the outlines in it and where the true depth is known, (1, 1, h, w) 0/1.
+    """
+    i = int(rng.integers(len(scenes)))
+    top, left = (int(rng.integers(0, n - c + 1)) for n, c in zip(scenes.depth.shape[1:], CROP, strict=True))
+    here = np.s_[..., top : top + CROP[0], left : left + CROP[1]]
+    if mode == "rgb":  # colours are costly to vary: cut first
+        x = to_tensor(colours(scenes.rgb[i][here[1:]], rng)[None])
+    else:  # the units are those of the whole frame: cut last
+        depth = scenes.depth[i].astype(np.float32) / 1000
+        left_over = lose(depth, rng)
+        x = depth_input(left_over if left_over.any() else depth)[here]
+    truth = torch.from_numpy(outlines[i][here]).float()[None, None]
+    known = torch.from_numpy(scenes.depth_gt[i][here] > 0).float()[None, None]
+    if rng.random() < 0.5:
+        return x.flip(3), truth.flip(3), known.flip(3)
+    return x, truth, known
 
 
 @torch.no_grad()
 def probabilities(mode: str, model: nn.Module, scenes: Scenes) -> list[np.ndarray]:
     """Return what a network says of each scene, (H, W) float32."""
-    found, none = [], np.random.default_rng(0)
-    for start in range(0, len(scenes), 8):
-        batch = draw(scenes, np.arange(start, min(start + 8, len(scenes))), none, augment=False)
-        x = batch.rgb if mode == "rgb" else depth_image(batch.depth_n, batch.valid)
-        found += list(torch.sigmoid(model(x.contiguous(memory_format=torch.channels_last)))[:, 0].numpy())
+    found = []
+    for rgb, depth in zip(scenes.rgb, scenes.depth, strict=True):
+        x = to_tensor(rgb[None]) if mode == "rgb" else depth_input(depth.astype(np.float32) / 1000)
+        found.append(torch.sigmoid(model(cl(x)))[0, 0].numpy())
     return found
 
 
 def best_threshold(found: Sequence[np.ndarray], truths: Sequence[np.ndarray]) -> tuple[float, float]:
     """Return the threshold with the highest mean F at a pixel's tolerance, and that F."""
-    scored = [
-        (float(np.nanmean([precision_recall_f(thin(p, cut), t)[2] for p, t in zip(found, truths, strict=True)])), cut)
-        for cut in THRESHOLDS
-    ]
+    scored = []
+    for cut in THRESHOLDS:
+        each = [precision_recall_f(thin(p, cut), t)[2] for p, t in zip(found, truths, strict=True)]
+        scored.append((float(np.nanmean(each)), cut))
     score, cut = max(scored)
     return float(cut), score
 
@@ -117,7 +124,8 @@ def train_boundary(
         data: folder of rendered scenes to train on.
         val: folder of rendered scenes on which the thresholds are chosen.
         out: weights folder; the card's other entries stay.
-        work: folder for checkpoints and logs. Where ``out`` holds stage one, the encoders begin with its.
+        work: folder for checkpoints and logs. Where ``out`` holds stage one, encoders of its sizes begin with
+            its weights.
         limit: use only the first scenes.
         seed: of everything random.
         command: that asked for it, for the card.
@@ -130,20 +138,23 @@ def train_boundary(
         ValueError: for no scenes, or a checkpoint of another run in ``work``.
     """
     out = Path(out)
-    scenes, held_out = (with_outlines(load_scenes(f, n), f) for f, n in ((data, limit), (val, VALIDATE)))
+    scenes = load_scenes(data, limit)
+    held_out = load_scenes(val, VALIDATE)
+    truths = exact_outlines(held_out)
     torch.manual_seed(seed)
-    nets, notes, thresholds = build().to(memory_format=torch.channels_last), {}, []
+    nets = build_nets().to(memory_format=torch.channels_last)
+    notes, thresholds = {}, []
     key = [checksum(scenes)]
     if (out / "region.safetensors").is_file():
         begin_with_stage_one(nets, load_part("region", out))
         key.append(read_card(out)["parts"]["region"]["sha256"])
     colour = replace(RECIPE, **changes)
     depth = replace(colour, steps=max(1, round(colour.steps * DEPTH_SHARE)))
-    for channel, (mode, recipe) in enumerate((("rgb", colour), ("depth", depth))):
+    for mode, recipe in (("rgb", colour), ("depth", depth)):
         step = boundary_step(mode, nets[mode], scenes, recipe, seed)
         notes[mode] = fit(f"boundary-{mode}", nets[mode], step, recipe, work, every=100, seed=seed, key=json.dumps(key))
         found = probabilities(mode, nets[mode].eval(), held_out)
-        cut, score = best_threshold(found, [g[channel] > 0 for g in held_out.guides])
+        cut, score = best_threshold(found, truths[mode])
         notes[mode] |= {"recipe": vars(recipe), "threshold": cut, "val_f": round(score, 4)}
         thresholds.append(cut)
     notes |= {"command": command, "seed": seed}

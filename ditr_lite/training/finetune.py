@@ -9,8 +9,8 @@ sampler. What stands in for each, here:
     threshold at 1/2      a steep sigmoid, or straight-through: hard forwards, the sigmoid's gradient backwards
     median of a mask      the mean of the window, through the same sigmoid (the median of a mask is a vote)
     dilation              the maximum of the window, which is what it is; gradient reaches the largest value
-    sampler               one step from pure noise, as the shipped system samples; painted once per scene, from the
-                          region that stage one finds before fine-tuning, joined with the true one, and kept
+    sampler               one step from pure noise, as the shipped system samples, on the whole frame, without a
+                          gradient: each step paints for the region that stage one finds there, joined with the true one
     composition           m * optical + (1 - m) * (reading, or geometric where there is none)
 
 So the gradient is a slope: it says, pixel by pixel, whether the final depth would gain if a *little* more of the pixel
@@ -18,25 +18,28 @@ belonged to the region, not whether it would gain if the whole pixel joined. How
 painted *elsewhere* is left out.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 from tqdm.auto import tqdm
 
+from ..boundary import get_backend
 from ..config import Config, RefineConfig
-from ..detail import detail_input
 from ..region import region_loss, region_probability
 from ..schedule import make_schedule
-from . import recipes
-from .batches import Batch, Scenes
-from .region_training import descend, epoch_batches, known_classes, sgd
+from ..stage_two import BRANCHES, Painter, Views, paint
+from .as_the_paper import descend, sgd
+from .batches import Batch, frames_shuffled
+from .parts import painter_of
+from .recipes import CLASS_WEIGHTS, rng_of
+from .scenes import Scenes
 
 RATE, EPOCHS = 1e-3, 50  # the paper's
 STEEPNESS = 20.0
-Painted = Callable[[Batch], tuple[Tensor, Tensor]]
+Paints = Callable[[Batch, Tensor], tuple[Tensor, Tensor]]  # of a batch and its region (B, 1, H, W), 0/1
 
 
 def soft_region(
@@ -85,97 +88,104 @@ def _refine(x: Tensor, refine: RefineConfig, threshold: Callable[[Tensor], Tenso
     return x
 
 
-def soft_compose(region: Tensor, depth_n: Tensor, valid: Tensor, optical: Tensor, geometric: Tensor) -> Tensor:
+def soft_compose(region: Tensor, depth: Tensor, valid: Tensor, optical: Tensor, geometric: Tensor) -> Tensor:
     """Return the composed depth for a region between 0 and 1; for a hard one it is ``pipeline.compose``.
 
     Args:
         region: (B, 1, H, W) in [0, 1]; all others have this shape too.
-        depth_n: normalised raw depth, anything where not valid.
+        depth: raw metres, anything where not valid.
         valid: 0/1.
-        optical: normalised painting of the optical branch.
-        geometric: normalised painting of the geometric branch.
+        optical: painting of the optical branch, metres.
+        geometric: painting of the geometric branch, metres.
     """
-    return region * optical + (1 - region) * torch.where(valid > 0, depth_n, geometric)
+    return region * optical + (1 - region) * torch.where(valid > 0, depth, geometric)
 
 
-def final_rmse(depth_n: Tensor, batch: Batch) -> Tensor:
+def final_rmse(depth_m: Tensor, batch: Batch) -> Tensor:
     """Return the mean over frames of the RMSE in metres where the truth is known (Paper: Eq. 4)."""
-    squared = ((depth_n - batch.gt_n) * batch.scale_m).square() * batch.gt_known
+    squared = (depth_m - batch.truth_m).square() * batch.gt_known
     count = batch.gt_known.sum(dim=(1, 2, 3)).clamp(min=1)
     return (squared.sum(dim=(1, 2, 3)) / count + 1e-12).sqrt().mean()  # + 1e-12: the root's slope at 0 is infinite
 
 
-@torch.no_grad()
-def paint(parts: nn.ModuleDict, batch: Batch, region: Tensor, config: Config, seed: int = 0) -> tuple[Tensor, Tensor]:
-    """Return what both frozen branches paint in one step from pure noise, (B, 1, H, W) normalised each.
+def frame_painters(parts: nn.ModuleDict, config: Config) -> dict[str, Painter]:
+    """Return both branches, trained, with the finer final step where there is one."""
+    detail = parts["detail"] if "detail" in parts else None
+    return {branch: replace(painter_of(branch, parts, config), detail=detail) for branch in BRANCHES}
+
+
+def whole_frames(painters: Mapping[str, Painter], config: Config, seed: int = 0) -> Paints:
+    """Return what lets both frozen branches paint whole frames in one step from pure noise.
 
     Args:
-        parts: the trained networks.
-        batch: with guides.
-        region: (B, 1, H, W) 0/1.
-        config: of the system.
+        painters: as :func:`frame_painters` makes them.
+        config: of the schedule and the sampler.
         seed: of the noise.
+
+    Returns:
+        batch with guides, region -> optical and geometric painting, (B, 1, H, W) metres each.
     """
-    schedule, drawn = make_schedule(config.schedule), []
-    for branch in ("optical", "geometric"):
-        given, _ = recipes.branch_inputs(branch, batch, config, region=region)
-        drawn.append(recipes.one_step(parts[branch], parts["autoencoder"], given, schedule, config, seed))
-    if "detail" in parts:
-        together = torch.where(region > 0, *drawn)
-        x = detail_input(together, batch.depth_n, batch.valid, region, batch.rgb, batch.guide_rgb)
-        finer = parts["detail"](x)  # each branch is sharpened where it will be used
-        drawn = [torch.where(region > 0, finer, drawn[0]), torch.where(region > 0, drawn[1], finer)]
-    return tuple(drawn)
+    schedule = make_schedule(config.schedule)
+
+    @torch.no_grad()
+    def paints(batch: Batch, region: Tensor) -> tuple[Tensor, Tensor]:
+        drawn = []
+        for branch, guide in zip(BRANCHES, (batch.guide_da, batch.guide_rgb), strict=True):  # S8
+            views = Views(batch.rgb, batch.depth_n, batch.valid, region, guide, batch.guide_rgb)
+            generator = torch.Generator().manual_seed(seed)
+            painted = paint(
+                painters[branch], views, schedule, prediction=config.sampler.prediction, generator=generator
+            )
+            drawn.append(batch.bounds.denormalise(painted[0]))  # (1, B, 1, H, W) -> (B, 1, H, W)
+        return drawn[0], drawn[1]
+
+    return paints
 
 
-@torch.no_grad()
-def paint_once(parts: nn.ModuleDict, scenes: Scenes, config: Config, seed: int = 0) -> Painted:
-    """Paint every scene once and return a function that looks a batch's paintings up, mirrored where the batch is.
+def final_depth(batch: Batch, region: Tensor, paints: Paints) -> Tensor:
+    """Return the final depth (B, 1, H, W) in metres for a soft region; only the composition has a gradient.
 
-    The region is what stage one finds and refines, joined with the true one: wherever fine-tuning may move it, the
-    optical branch has painted there.
+    The branches paint for the hard region, joined with the true one: wherever a step may move the region, the optical
+    branch has painted.
+
+    Args:
+        batch: with guides.
+        region: (B, 1, H, W) in [0, 1].
+        paints: see :func:`whole_frames`.
     """
-    shape = (len(scenes), 2, *scenes.depth.shape[1:])
-    store = torch.empty(shape, dtype=torch.float16)
-    for batch in tqdm(recipes.batches(scenes, 8), total=-(-len(scenes) // 8), desc="painting", unit="batch"):
-        probability = region_probability(parts["region"](batch.rgb, batch.depth_n, batch.valid))
-        found = soft_region(probability, config.refine, straight_through=True)
-        region = torch.maximum(found, (batch.material > 0)[:, None].float())
-        store[batch.index] = torch.cat(paint(parts, batch, region, config, seed), dim=1).half()
-
-    def painted(batch: Batch) -> tuple[Tensor, Tensor]:
-        both = store[batch.index].float()
-        flipped = torch.from_numpy(np.asarray(batch.flipped))[:, None, None, None]
-        return torch.where(flipped, both.flip(3), both).split(1, dim=1)
-
-    return painted
+    hard = (region.detach() > 0.5).to(region.dtype)
+    optical, geometric = paints(batch, torch.maximum(hard, batch.region))
+    readings = batch.bounds.denormalise(batch.depth_n)
+    return soft_compose(region, readings, batch.valid, optical, geometric)
 
 
 def finetune_region(
     model: nn.Module,
     scenes: Scenes,
-    painted: Painted,
-    refine: RefineConfig,
+    paints: Paints,
+    config: Config,
     steps: int,
     rmse_weight: float = 1.0,
     straight_through: bool = False,
     batch: int = 16,
     rate: float = RATE,
     seed: int = 0,
+    boundary: str = "classical",
 ) -> list[dict[str, float]]:
     """Fine-tune stage one in place, with stage two frozen.
 
     Args:
         model: a trained ``region.RegionNet``.
         scenes: to learn from.
-        painted: batch -> optical and geometric painting, normalised; :func:`paint_once` makes one.
-        refine: kernels that will be used with the result.
+        paints: the frozen stage two; :func:`whole_frames` makes one.
+        config: of the working size, and of the refinement that will be used with the result.
         steps: of SGD; the paper's are :data:`EPOCHS` passes over all scenes.
         rmse_weight: per metre; 0 goes on with the segmentation loss alone, which is the control.
         straight_through: see :func:`soft_region`.
         batch: scenes a step.
         rate: constant learning rate.
         seed: of everything random.
+        boundary: backend of the guides.
 
     Returns:
         one row a step: ``total``, ``segmentation`` and ``rmse_m``, all before that step.
@@ -186,15 +196,19 @@ def finetune_region(
     if steps < 1 or batch < 1:
         raise ValueError(f"expected steps and batch of at least 1, got {steps} and {batch}")
     model.requires_grad_(True).train()
-    optimiser, weight = sgd(model), torch.tensor(recipes.CLASS_WEIGHTS)
-    rows, epoch = [], 0
+    optimiser = sgd(model)
+    weight = torch.tensor(CLASS_WEIGHTS)
+    backend = get_backend(boundary)
+    rows = []
+    epoch = 0
     with tqdm(total=steps, desc="fine-tuning", unit="step") as bar:
         while len(rows) < steps:
-            for drawn in epoch_batches(scenes, batch, epoch, seed):
+            for drawn in frames_shuffled(scenes, config.size, batch, rng_of(seed, epoch), backend):
                 outputs = model(drawn.rgb, drawn.depth_n, drawn.valid)
-                segmentation = region_loss(outputs, known_classes(drawn), weight)["total"]
-                region = soft_region(region_probability(outputs), refine, straight_through=straight_through)
-                rmse = final_rmse(soft_compose(region, drawn.depth_n, drawn.valid, *painted(drawn)), drawn)
+                segmentation = region_loss(outputs, drawn.material, weight)["total"]
+                probability = region_probability(outputs)
+                region = soft_region(probability, config.refine, straight_through=straight_through)
+                rmse = final_rmse(final_depth(drawn, region, paints), drawn)
                 total = segmentation + rmse_weight * rmse
                 figures = {"total": total, "segmentation": segmentation, "rmse_m": rmse}
                 rows.append({k: float(v.detach()) for k, v in figures.items()})

@@ -19,7 +19,7 @@ from ..config import Config
 from ..detail import detail_input
 from ..encoder import ColourEncoder
 from ..region import region_loss
-from ..schedule import make_schedule
+from ..schedule import NoiseSchedule, make_schedule
 from ..stage_two import Painter, encode_picture
 from .batches import Batch, draw_frames, draw_windows
 from .loop import Recipe
@@ -121,19 +121,41 @@ def branch_step(
     def step_loss(step: int) -> dict[str, Tensor]:
         rng = rng_of(seed, step)
         batch = branch_batch(branch, pool, config, recipe.batch, rng, backend)
-        (image, filled, known), paint = branch_inputs(branch, batch, config, evidence=rng.random() > 0.15)
-        with torch.no_grad():
-            masked = painter.autoencoder.encode(cl(filled))
-            x0 = painter.autoencoder.encode(cl(fill(batch.gt_n, batch.gt_known)))
-        t = torch.randint(0, schedule.timesteps, (len(x0),))
-        t[: int(LAST_STEP_SHARE * len(x0))] = schedule.timesteps - 1
-        eps = torch.randn_like(x0)
-        x_t = diffusion.q_sample(x0, t, eps, schedule)
-        out = painter.net(x_t, t, encode_picture(painter, image, batch.rgb), masked, known)
+        given, paint = branch_inputs(branch, batch, config, evidence=rng.random() > 0.15)
         mask = F.avg_pool2d(paint * batch.gt_known, 4) + 0.05
-        return {"total": diffusion.loss(out, x0, eps, t, schedule, config.sampler.prediction, mask=mask)}
+        return {"total": denoising_loss(painter, batch, given, mask, schedule, config.sampler.prediction)}
 
     return step_loss
+
+
+def denoising_loss(
+    painter: Painter,
+    batch: Batch,
+    given: tuple[Tensor, Tensor, Tensor],
+    mask: Tensor,
+    schedule: NoiseSchedule,
+    prediction: str,
+) -> Tensor:
+    """Noise the encoded truth of a batch and score what the denoiser makes of it (Paper: Eq. 8).
+
+    Args:
+        painter: whose denoiser is trained; its autoencoder is frozen.
+        batch: of views.
+        given: what the denoiser is given, from ``condition``.
+        mask: (B, 1, h, w) weight of each latent cell.
+        schedule: of the noise.
+        prediction: what the denoiser predicts.
+    """
+    image, filled, known = given
+    with torch.no_grad():
+        masked = painter.autoencoder.encode(cl(filled))
+        x0 = painter.autoencoder.encode(cl(fill(batch.gt_n, batch.gt_known)))
+    t = torch.randint(0, schedule.timesteps, (len(x0),))
+    t[: int(LAST_STEP_SHARE * len(x0))] = schedule.timesteps - 1
+    eps = torch.randn_like(x0)
+    x_t = diffusion.q_sample(x0, t, eps, schedule)
+    out = painter.net(x_t, t, encode_picture(painter, image, batch.rgb), masked, known)
+    return diffusion.loss(out, x0, eps, t, schedule, prediction, mask=mask)
 
 
 @torch.no_grad()

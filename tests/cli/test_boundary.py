@@ -28,7 +28,7 @@ def weights(tmp_path_factory):
     torch.manual_seed(0)
     parts = pipeline.build(config)
     store.save_part("autoencoder", parts["autoencoder"].state_dict(), config, folder, {})
-    state = learned.build().state_dict() | {"thresholds": torch.tensor([0.3, 0.3])}
+    state = learned.build_nets().state_dict() | {"thresholds": torch.tensor([0.3, 0.3])}
     store.save_part("boundary", state, config, folder, {})
     return folder
 

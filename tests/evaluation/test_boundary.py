@@ -6,7 +6,7 @@ import torch
 
 from ditr_lite import store
 from ditr_lite.boundary import ExactBoundary, boundaries_from_labels, depth_boundaries, get_backend, true_maps
-from ditr_lite.boundary.learned import build
+from ditr_lite.boundary.learned import build_nets
 from ditr_lite.config import preset
 from ditr_lite.data import TRANSPARENT, Sample, list_samples, load_sample
 from ditr_lite.evaluation import boundary as boundary_scoring
@@ -83,7 +83,7 @@ def test_summary_by_hand():
 
 def test_bench_names_the_weights_and_keeps_every_frames_f(frames, tmp_path, monkeypatch):
     monkeypatch.setattr(boundary_scoring, "CANNY", {"sigma": (1.0,), "high": (90,), "ratio": (0.3,)})
-    state = build().state_dict() | {"thresholds": torch.tensor([0.3, 0.3])}
+    state = build_nets().state_dict() | {"thresholds": torch.tensor([0.3, 0.3])}
     path = store.save_part("boundary", state, preset("tiny"), tmp_path, {})
     results = bench(frames[:2], frames[2:], weights=tmp_path)
     assert results["weights_sha256"] == store.sha256(path) and results["canny"]["high"] == 90

@@ -9,7 +9,7 @@ import torch
 from ditr_lite.conditioning import CHANNELS
 from ditr_lite.config import override, preset
 from ditr_lite.data import Sample
-from ditr_lite.evaluation import costs, latency
+from ditr_lite.evaluation import costs, timing
 from ditr_lite.pipeline import Ditr, build
 
 PAPER = preset("paper")
@@ -20,17 +20,28 @@ def paper():
     return costs.costs(PAPER, sam=True)
 
 
-@pytest.mark.parametrize(("steps", "samples"), [(1, 1), (2, 3)])
-def test_what_is_counted_is_what_runs(steps, samples):
-    config = override(preset("tiny"), **{"sampler.steps": steps, "sampler.samples": samples})
+@pytest.mark.parametrize(("steps", "samples", "window"), [(1, 1, 64), (2, 3, 64), (2, 3, 0)])
+def test_what_is_counted_is_what_runs(steps, samples, window):
+    config = override(preset("tiny"), **{"sampler.steps": steps, "sampler.samples": samples, "window": window})
     ditr = Ditr(build(config), config)
     rng = np.random.default_rng(0)
     rgb, depth = rng.integers(0, 255, (64, 96, 3), np.uint8), np.full((64, 96), 0.6, np.float32)
-    measured = latency.measure(ditr, Sample("any", rgb, depth, depth))[-1]["gflops"]
+    measured = timing.measure(ditr, Sample("any", rgb, depth, depth))[-1]["gflops"]
     rows = costs.costs(config)
     assert sum(row["gflops"] * row["calls"] for row in rows) == pytest.approx(measured, rel=1e-9)
     assert sum(row["parameters"] for row in rows) == sum(p.numel() for p in ditr.parts.parameters())
-    assert [row["network"] for row in rows] == ["region", "encoder", "F(x)", "denoiser, one step", "decoder", "detail"]
+    names = ["encoder", "F(x)", "denoiser, one step", "decoder", "detail"]
+    close = [f"{name}, in windows" for name in names] if window else []
+    assert [row["network"] for row in rows] == ["region", *names, *close]
+
+
+def test_windows_cost_as_many_times_as_there_are_and_the_pretrained_encoder_counts():
+    one, four = costs.costs(preset("lite")), costs.costs(preset("lite"), windows=4)
+    for a, b in zip(one, four, strict=True):
+        assert b["calls"] == (4 if "windows" in b["network"] else 1) * a["calls"] and a["gflops"] == b["gflops"]
+    by_name = {row["network"]: row for row in one}
+    assert by_name["picture encoder"]["parameters"] > 5e5 and by_name["picture encoder, in windows"]["parameters"] == 0
+    assert sum(row["parameters"] for row in one) == sum(p.numel() for p in build(preset("lite")).parameters())
 
 
 def test_nothing_is_allocated(monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 from ditr_lite import baselines, datasets, metrics, pipeline, store
 from ditr_lite.config import preset
 from ditr_lite.data import Sample
-from ditr_lite.evaluation import latency, scoring, stage_one
+from ditr_lite.evaluation import scoring, stage_one
 from ditr_lite.evaluation.protocols import CLEARGRASP, PROTOCOLS
 from ditr_lite.evaluation.scoring import format_report, run_methods, summary, to_json
 from ditr_lite.pipeline import Completion
@@ -52,11 +52,12 @@ class FakeDitr:
             region[20:36, 30:52] = True
             probability = region.astype(np.float32)
         painted = np.tile(np.linspace(0.5, 0.7, SHAPE[1], dtype=np.float32), (SHAPE[0], 1)) + np.float32(self.error_m)
-        out = baselines.compose(painted, depth, region)
+        out = pipeline.compose(depth, painted, painted, region)
         if self.spoil:
             out[60, 60] = np.nextafter(out[60, 60], np.float32(1))
         maps = {key: region for key in ("boundary_rgb", "boundary_depth", "boundary_da")}
-        return Completion(out, region, 0 * out, **maps, probability=probability, optical=painted, geometric=painted)
+        branches = {"optical": painted, "geometric": painted, "windows": ()}
+        return Completion(out, region, 0 * out, **maps, probability=probability, **branches)
 
 
 @pytest.fixture(scope="module")
@@ -153,6 +154,11 @@ def test_refusals_are_counted_and_do_not_stop_the_run():
     json.dumps(report, allow_nan=False)
 
 
+def test_a_method_that_returns_no_depth_map_is_refused_by_name():
+    (result,) = run_methods([make_sample()], FakeDitr(), {"mine": lambda rgb, d, r: d[:4]}, progress=False)
+    assert result["methods"]["mine"] is None and "mine should have shape" in result["refused"]["mine"]
+
+
 def test_missing_truth_or_region_is_named():
     bare = Sample("bare", make_sample().rgb, make_sample().depth)
     with pytest.raises(ValueError, match="bare has no ground-truth depth"):
@@ -235,18 +241,6 @@ def test_readings_too_sparse_to_survive_resizing_do_not_stop_it(tiny):
     depth[3, 5] = 0.6  # nearest neighbour at a quarter of the size takes other pixels
     out = tiny(np.zeros((256, 384, 3), np.uint8), depth, np.zeros(depth.shape, bool), steps=1, samples=1)
     assert out.depth[3, 5] == np.float32(0.6) and np.isfinite(out.depth).all() and (out.depth > 0).all()
-
-
-def test_latency_measures_every_stage(tiny):
-    with pytest.raises(ValueError, match="at least 5 runs"):
-        latency.measure(tiny, make_sample(), runs=4)
-    rows = latency.measure(tiny, make_sample(), steps=1, samples=1)
-    by_name = {row["stage"]: row for row in rows}
-    assert len(rows) == 6 and all(row["ms"] > 0 for row in rows)
-    assert by_name["boundary maps"]["gflops"] is None
-    parts = [row["gflops"] or 0 for row in rows[:-1]]
-    assert np.isclose(sum(parts), by_name["whole"]["gflops"])  # every operation belongs to one stage
-    assert "stage two: optical branch" in latency.format_latency(rows)
 
 
 @needs_real

@@ -110,3 +110,52 @@ def test_an_interval_is_told_in_the_unit_and_style_asked_for():
     assert statistics.format_interval((0.0012, -0.0034, 0.0051), 1000) == "+1.2 [-3.4, +5.1]"
     assert statistics.format_interval([0.5, 0.25, 0.75], style=".2f") == "0.50 [0.25, 0.75]"
     assert statistics.format_interval(None) == "-" and statistics.format_interval(None, missing="x") == "x"
+
+
+def test_rank_correlation_of_known_lists():
+    assert statistics.spearman([1, 2, 3, 4], [10, 20, 25, 1000]) == pytest.approx(1)
+    assert statistics.spearman([1, 2, 3, 4], [4, 3, 2, -5]) == pytest.approx(-1)
+    assert statistics.spearman([1, 2, 3], [1, 3, 2]) == pytest.approx(0.5)
+    x = np.array([1, 1, 2, 3, 3, 3, 5])  # equal values share their mean rank
+    y = np.array([2, 1, 2, 4, 4, 0, 3])
+    ranks = [[(values < v).sum() + ((values == v).sum() + 1) / 2 for v in values] for values in (x, y)]
+    assert statistics.spearman(x, y) == pytest.approx(np.corrcoef(*ranks)[0, 1])
+
+
+@pytest.mark.parametrize(("x", "y"), [([1], [2]), ([1, 1], [1, 2]), ([1, 2], [3, 3])])
+def test_no_correlation_of_nothing(x, y):
+    with pytest.raises(ValueError, match="not all alike"):
+        statistics.spearman(x, y)
+
+
+def test_the_interval_of_a_correlation_holds_the_truth_about_as_often_as_it_says():
+    rng, rho = np.random.default_rng(1), 0.5
+    truth = 6 / np.pi * np.arcsin(rho / 2)  # Spearman's of a bivariate normal
+    hits = 0
+    for k in range(60):
+        x, y = rng.multivariate_normal([0, 0], [[1, rho], [rho, 1]], 60).T
+        _, low, high = statistics.spearman_bootstrap(list(x), list(y), n=300, seed=k)
+        hits += low <= truth <= high
+    assert 51 <= hits <= 60
+
+
+def test_images_without_a_value_are_left_out_of_a_correlation():
+    x, y = [1, None, 2, 3, 4], [1, 5, None, 3, 4]
+    assert statistics.spearman_bootstrap(x, y, n=200) == pytest.approx((1, 1, 1))  # some resamples are all alike
+    with pytest.raises(ValueError, match="same images"):
+        statistics.spearman_bootstrap([1, 2], [1, 2, 3])
+
+
+def test_one_image_has_an_interval_without_width():
+    assert statistics.bootstrap_mean([0.5, None]) == (0.5, 0.5, 0.5)
+    assert statistics.ratio_bootstrap([1.0], [2.0]) == (0.5, 0.5, 0.5)
+    assert statistics.unpaired_bootstrap([1.0], [2.0]) == (-1.0, -1.0, -1.0)
+
+
+def test_an_interval_for_a_file_is_rounded_and_none_without_a_complete_image():
+    assert statistics.interval(paired_bootstrap, [1.0, None], [None, 2.0]) is None
+    assert statistics.interval(statistics.bootstrap_mean, []) is None
+    assert statistics.interval(paired_bootstrap, [0.12345, None], [0.0, 1.0], digits=3) == [0.123, 0.123, 0.123]
+    a, b = np.random.default_rng(4).uniform(1, 2, (2, 9)).tolist()
+    assert statistics.interval(statistics.ratio_bootstrap, a, b) == list(statistics.ratio_bootstrap(a, b))
+    assert statistics.mean_known([1.0, None, 2.0]) == 1.5 and statistics.mean_known([None]) is None

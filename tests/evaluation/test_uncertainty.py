@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from ditr_lite.data import Sample
 from ditr_lite.evaluation import uncertainty as un
 
 
@@ -12,7 +13,7 @@ def gaussian():
 
 
 def test_honest_errors_cover_what_they_should(gaussian):
-    for _, due, seen in un.reliability(*gaussian):
+    for _, due, seen in un.coverages(*gaussian):
         assert seen == pytest.approx(due, abs=0.01)
     assert un.coverage(gaussian[0], gaussian[1] / 2) == pytest.approx(un.coverage(*gaussian, 0.5))
 
@@ -46,3 +47,60 @@ def test_arrays_that_do_not_fit_are_refused(function):
     for pair in ((np.ones(3), np.ones(4)), (np.ones(0), np.ones(0)), (np.ones((2, 2)), np.ones((2, 2)))):
         with pytest.raises(ValueError, match="two arrays"):
             function(*pair)
+
+
+def test_calibrated_draws_are_found_calibrated():
+    rng = np.random.default_rng(1)
+    spread = rng.uniform(0.005, 0.05, 80_003)
+    expected, observed = un.reliability(spread, rng.normal(0, spread))
+    np.testing.assert_allclose(observed, expected, rtol=0.05)
+    assert (np.diff(expected) > 0).all()
+    np.testing.assert_allclose(un.reliability(spread, 3 * spread)[1], 3 * un.reliability(spread, spread)[0])
+    with pytest.raises(ValueError, match="same pixels"):
+        un.reliability(spread, spread[1:])
+
+
+def test_dropping_what_is_doubted_lowers_the_error_of_the_rest():
+    error = np.array([0.01, -0.04, 0.02, 0.03])
+    np.testing.assert_allclose(un.risk(np.abs(error), error, (0.25, 0.5, 1)), [0.01, np.sqrt(2.5e-4), np.sqrt(7.5e-4)])
+    np.testing.assert_allclose(un.risk(-np.abs(error), error, (0.25,)), [0.04])
+
+
+def test_spread_and_error_are_those_of_the_regions_pixels():
+    truth, region = np.full((64, 96), 0.6, np.float32), np.zeros((64, 96), bool)
+    region[:10] = True
+    sample = Sample("s", np.zeros((64, 96, 3), np.uint8), truth, truth, region)
+    members = np.stack([truth + 0.01, truth + 0.03])
+    spread, error = un.spread_and_error([members] * 2, [sample, sample])
+    assert spread.shape == error.shape == (2 * 960,)
+    np.testing.assert_allclose(spread, 0.02 / np.sqrt(2), rtol=1e-4)
+    np.testing.assert_allclose(error, 0.02, rtol=1e-4)
+
+
+def test_the_curve_of_risk_has_the_values_of_its_two_scores(gaussian):
+    error, std = gaussian
+    shares, risks, best = np.array(un.risk_coverage(error, std, points=4)).T
+    np.testing.assert_allclose(risks, un.risk(std, error, shares))
+    np.testing.assert_allclose(best, un.risk(np.abs(error), error, shares))
+
+
+def test_the_fit_of_kept_readings_finds_what_missed_glass_costs():
+    rng = np.random.default_rng(2)
+    depth, doubt = rng.uniform(0.4, 2.0, 60_000), rng.beta(0.3, 2, 60_000)
+    missed = rng.random(depth.size) < doubt  # the probability means what it says
+    error = depth * np.where(missed, 0.08, 0.004) * rng.normal(size=depth.size)
+    kept, glass = un.fit_kept(error, depth, doubt)
+    assert kept == pytest.approx(0.004, rel=0.5) and glass == pytest.approx(np.sqrt(0.08**2 - 0.004**2), rel=0.05)
+    assert un.fit_kept(0.01 * depth, depth, doubt) == pytest.approx((0.01, 0), abs=1e-6)  # never negative
+
+
+@pytest.mark.parametrize("temperature", [0.5, 1.0, 2.5])
+def test_the_temperature_that_made_probabilities_overconfident_is_found(temperature):
+    rng = np.random.default_rng(3)
+    logits = rng.normal(0, 2, (3, 40_000))
+    honest = np.exp(logits) / np.exp(logits).sum(axis=0)
+    true = rng.random(40_000) > honest[0]
+    logs = logits * temperature - np.log(np.exp(logits * temperature).sum(axis=0))
+    assert un.fit_temperature(logs, true) == pytest.approx(temperature, rel=0.05)
+    with pytest.raises(ValueError, match="at least 2 classes"):
+        un.fit_temperature(logs[:1], true)

@@ -5,8 +5,8 @@ import torch
 from checker_cases import checker_tests
 
 from ditr_lite import conditioning, pipeline
+from ditr_lite.evaluation.costs import count_flops
 from ditr_lite.exercises import pipeline as checks
-from ditr_lite.unet import count_flops
 
 
 def given(depth, region):

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite import baselines
 from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.config import preset
 from ditr_lite.data import load_sample
 from ditr_lite.peers import networks
+from ditr_lite.pipeline import compose
 from ditr_lite.store import save_part
 
 TINY = preset("tiny")
@@ -32,7 +32,7 @@ def test_every_peer_answers_like_a_baseline(name, frame):
     depth = make(name)(frame.rgb, frame.depth, frame.region)
     assert depth.shape == frame.depth.shape and depth.dtype == np.float32
     assert np.isfinite(depth).all() and (depth > 0).all()
-    composed = baselines.compose(depth, frame.depth, frame.region)
+    composed = compose(frame.depth, depth, depth, frame.region)
     kept = (frame.depth > 0) & ~frame.region
     assert (composed[kept] == frame.depth[kept]).all()
 

@@ -1,10 +1,14 @@
+import ast
+import importlib.util
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+import ditr_lite
 from ditr_lite.config import preset
 from ditr_lite.data import SAMPLES
 from ditr_lite.store import load_part, read_card
@@ -37,6 +41,7 @@ def result(folder):
     ("settings", "parts"),
     [
         ({"size": "32,64"}, PARTS),
+        ({"window": "32"}, ("autoencoder", "optical", "geometric", "detail")),
         ({"autoencoder.codes": 32}, ("autoencoder", "optical", "geometric", "detail")),
         ({"unet.width": "16"}, ("optical", "geometric", "detail")),
         ({"schedule.name": "cosine"}, ("optical", "geometric", "detail")),
@@ -66,6 +71,40 @@ def test_every_setting_of_the_system_has_its_entry():
 def test_settings_that_change_nothing_are_refused(settings):
     with pytest.raises(ValueError, match="nothing is changed"):
         touched(TINY, settings)
+
+
+def used_by(module, seen):
+    """Collect the files of the package that a module imports, and those that they import, in ``seen``."""
+    file = Path(importlib.util.find_spec(module).origin)
+    if file in seen:
+        return
+    seen.add(file)
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            package = module if file.name == "__init__.py" else module.rpartition(".")[0]
+            base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+            for name in [base, *(f"{base}.{alias.name}" for alias in node.names)]:
+                if name != "ditr_lite" and is_module(name):
+                    used_by(name, seen)
+
+
+def is_module(name):
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ModuleNotFoundError:  # what is before the last dot is no package
+        return False
+
+
+def test_all_that_decides_training_counts_and_nothing_else_does():
+    package = Path(ditr_lite.__file__).parent
+    seen = set()
+    used_by("ditr_lite.training.parts", seen)
+    used = {file.relative_to(package).as_posix() for file in seen}
+    no_matter = {"metrics.py", "files.py", "store.py", "camera.py", "training/__init__.py", "loss_types.py"}
+    decisive = {file.relative_to(package).as_posix() for file in experiment.decisive_files()}
+    idle = {name for name in decisive - used if not name.startswith("boundary/")}  # backends are imported by name
+    assert used - decisive <= no_matter and not idle
+    assert all(file.is_file() for file in experiment.decisive_files())
 
 
 # --- the comparison ---------------------------------------------------------------------------------------------------
@@ -134,7 +173,10 @@ def test_settings_of_stage_one_are_scored_with_the_region_that_it_finds(folder, 
 def test_scenes_of_ones_own_join_the_shipped_ones(tmp_path):
     more = run(tmp_path, {"sampler.samples": 1}, data=SAMPLES / "val", limit=25)
     assert more["scenes"] == 25
-    assert read_card(tmp_path / "tiny" / "default")["parts"]["region"]["last_scene"] == "val_00000"
+    scenes = read_card(tmp_path / "tiny" / "default")["parts"]["region"]["scenes"]
+    assert list(scenes.values()) == [24, 1] and list(scenes)[1] == "val_00000 to val_00000"
+    few = experiment.some_scenes([SAMPLES / "train", SAMPLES / "val"], 3)
+    assert [len(group) for group in few] == [3]
 
 
 def test_the_report_names_both_arms_and_its_limits(result):

@@ -2,10 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
 
-from ditr_lite import pipeline
-from ditr_lite.config import preset
 from ditr_lite.data import Sample
 from ditr_lite.studies import failures
 
@@ -67,48 +64,6 @@ def test_what_cannot_be_described_is_refused():
         failures.describe(replace(scene(), instances=None))
     with pytest.raises(ValueError, match="nothing in its region"):
         failures.describe(replace(scene(), region=np.zeros(SHAPE, bool)))
-
-
-def test_the_found_region_is_the_pipelines():
-    ditr = pipeline.Ditr(pipeline.build(preset("tiny")), preset("tiny"))
-    rng = np.random.default_rng(0)
-    big = Sample("big", rng.integers(0, 255, (50, 120, 3), np.uint8), rng.uniform(0.4, 0.9, (50, 120)).astype("f4"))
-    out = ditr(big.rgb, big.depth, samples=1)
-    np.testing.assert_array_equal(failures.found_region(ditr, big), out.region)
-
-
-def test_rank_correlation_of_known_lists():
-    assert failures.spearman([1, 2, 3, 4], [10, 20, 25, 1000]) == pytest.approx(1)
-    assert failures.spearman([1, 2, 3, 4], [4, 3, 2, -5]) == pytest.approx(-1)
-    assert failures.spearman([1, 2, 3], [1, 3, 2]) == pytest.approx(0.5)
-    rng = np.random.default_rng(0)
-    x, y = rng.integers(0, 6, (2, 40))  # many equal values
-    assert failures.spearman(x, y) == pytest.approx(stats.spearmanr(x, y).statistic)
-
-
-@pytest.mark.parametrize(("x", "y"), [([1], [2]), ([1, 1], [1, 2]), ([1, 2], [3, 3])])
-def test_no_correlation_of_nothing(x, y):
-    with pytest.raises(ValueError, match="not all alike"):
-        failures.spearman(x, y)
-
-
-def test_the_interval_holds_the_truth_about_as_often_as_it_says():
-    rng, rho = np.random.default_rng(1), 0.5
-    truth = 6 / np.pi * np.arcsin(rho / 2)  # Spearman's of a bivariate normal
-    hits = 0
-    for k in range(60):
-        x, y = rng.multivariate_normal([0, 0], [[1, rho], [rho, 1]], 60).T
-        _, low, high = failures.spearman_interval(list(x), list(y), n=300, seed=k)
-        hits += low <= truth <= high
-    assert 51 <= hits <= 60
-
-
-def test_frames_without_a_value_are_left_out():
-    x, y = [1, None, 2, 3, 4], [1, 5, None, 3, 4]
-    rho, low, high = failures.spearman_interval(x, y, n=200)
-    assert (rho, low, high) == pytest.approx((1, 1, 1))
-    with pytest.raises(ValueError, match="same frames"):
-        failures.spearman_interval([1, 2], [1, 2, 3])
 
 
 def test_correlations_are_taken_over_the_frames_in_both():

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ditr_lite import data, store
+from ditr_lite import data, metrics, store
 from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.cli import main
 from ditr_lite.conditioning import depth_bounds
@@ -73,12 +73,25 @@ def test_edges_agree_with_a_loop_and_do_not_depend_on_the_unit(depth):
     assert np.array_equal(floor.depth_edges(1000 * depth), wanted)
 
 
+def shifted(sample, offset):
+    """Return the truth with an offset in network units, in metres."""
+    bounds = depth_bounds(sample.depth)
+    return bounds.denormalise(bounds.normalise(sample.depth_gt.astype(np.float64)) + offset)
+
+
+def test_a_stray_reading_does_not_set_the_units(model, sample):
+    model.offset = 0.5
+    plain = floor.reconstruct(model, sample)[0]
+    rows, columns = np.nonzero(sample.depth > 0)
+    sample.depth[rows[::40], columns[::40]] = 30.0
+    assert np.allclose(floor.reconstruct(model, sample)[0], plain, rtol=0.02)
+
+
 def test_the_truth_is_what_is_encoded_and_the_raw_depth_sets_the_units(model, sample):
     model.offset = 0.5
     with_it, without, indices = floor.reconstruct(model, sample)
-    bounds = depth_bounds(sample.depth)
-    assert np.allclose(without, sample.depth_gt, atol=1e-6) and indices.shape == (1, 8, 12)
-    assert np.allclose(with_it - sample.depth_gt, 0.5 * (bounds.high - bounds.low) / 2, atol=1e-5)
+    assert np.allclose(without, sample.depth_gt, atol=1e-5) and indices.shape == (1, 8, 12)
+    assert np.allclose(with_it, shifted(sample, 0.5), atol=1e-5)
     unknown = replace(sample, depth_gt=np.where(sample.region, 0, sample.depth_gt).astype(np.float32))
     assert floor.reconstruct(model, unknown)[1].min() > 0.4  # filled, not 0, where no truth is known
 
@@ -86,9 +99,12 @@ def test_the_truth_is_what_is_encoded_and_the_raw_depth_sets_the_units(model, sa
 def test_the_report_counts_pixels_codes_and_millimetres(model, sample):
     model.offset = 0.5
     report = floor.measure_floor([sample, sample], model, progress=False)
-    bounds = depth_bounds(sample.depth)
+    square = (shifted(sample, 0.5) - sample.depth_gt) ** 2
+    sets = metrics.pixel_sets(sample.depth_gt, sample.region, sample.depth)
+    edge = floor.depth_edges(sample.depth_gt)
+    sets |= {"edge": edge, "interior": ~edge}
     for name in floor.SETS:
-        assert report["rmse_m"][name] == pytest.approx(3 * [(bounds.high - bounds.low) / 4], rel=1e-4)
+        assert report["rmse_m"][name] == pytest.approx(3 * [np.sqrt(square[sets[name]].mean())], rel=1e-4)
         assert report["rmse_m_unquantized"][name] == pytest.approx([0, 0, 0], abs=1e-6)
     assert report["pixels"]["edge"] == 2 * 2 * SHAPE[0] and report["pixels"]["optical"] == 2 * 64
     assert report["pixels"]["edge"] + report["pixels"]["interior"] == report["pixels"]["whole"] == 2 * 32 * 48
@@ -136,7 +152,7 @@ def test_the_command_prints_and_writes_json(sample, tmp_path, capsys):
     out, written = capsys.readouterr().out, json.loads((tmp_path / "f.json").read_text())
     assert "test split" in out and "codes in use" in out
     assert written["images"] == 1 and written["command"].startswith("python -m ditr_lite floor --root")
-    assert written["weights_sha256"] == store.sha256(tmp_path / "w" / "autoencoder.safetensors")
+    assert written["weights_sha256"] == {"autoencoder": store.sha256(tmp_path / "w" / "autoencoder.safetensors")}
     assert main(["floor", "--weights", str(tmp_path), "--limit", "1"]) == 2 and "no weights" in capsys.readouterr().err
 
 
@@ -165,7 +181,8 @@ def sample_of():
     material = np.zeros(truth.shape, np.uint8)
     material[8:16, 8:16] = 1
     depth = np.where(np.arange(96) < 4, 0, truth).astype(np.float32)  # a strip is missing: there is something geometric
-    return data.Sample("x", np.zeros((64, 96, 3), np.uint8), depth, truth, material > 0, material=material)
+    rgb = np.zeros((64, 96, 3), np.uint8)
+    return data.Sample("x", rgb, depth, truth, material > 0, material=material, instances=material)
 
 
 def test_the_committed_comparison_is_complete():

@@ -4,10 +4,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ditr_lite import baselines
 from ditr_lite.config import RefineConfig, preset
 from ditr_lite.data import Sample
-from ditr_lite.studies import regions
+from ditr_lite.pipeline import compose
+from ditr_lite.region import refine_region
 from ditr_lite.studies.regions import offset_region, refinement_costs, region_costs
 
 SHAPE = (64, 96)
@@ -30,7 +30,12 @@ class Painter:
 
     def __call__(self, rgb, depth, region, samples):
         assert samples == 1
-        return SimpleNamespace(depth=baselines.compose(np.full(SHAPE, 0.62, np.float32), depth, region))
+        painted = np.full(SHAPE, 0.62, np.float32)
+        return SimpleNamespace(depth=compose(depth, painted, painted, region))
+
+    def find_region(self, rgb, depth, refine):
+        found = offset_region(frame().region, -2)
+        return None, refine_region(found, refine.median, refine.dilate, refine.iterations)
 
 
 @pytest.mark.parametrize("pixels, side", [(-2, 6), (-1, 8), (0, 10), (1, 12), (3, 16), (-5, 0)])
@@ -63,10 +68,8 @@ def test_a_frame_that_cannot_be_priced_is_refused(gone):
         region_costs(Painter(), replace(frame(), **gone), (1,))
 
 
-def test_refinements_are_compared_on_what_stage_one_finds(monkeypatch):
+def test_refinements_are_compared_on_what_stage_one_finds():
     sample = frame()
-    shrunk = offset_region(sample.region, -2).astype(np.uint8)
-    monkeypatch.setattr(regions, "class_map", lambda *_: shrunk)
     settings = [RefineConfig(0, 0, 0), RefineConfig(3, 3, 2), RefineConfig(7, 5, 3)]
     none, exact, paper = refinement_costs(Painter(), sample, settings)
     assert none["miss_rate"] == pytest.approx(1 - 16 * 26 / 600) and none["area_ratio"] == pytest.approx(16 * 26 / 600)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ditr_lite import pipeline, store
 from ditr_lite.config import preset
-from ditr_lite.data import list_samples, load_sample
+from ditr_lite.data import Sample, list_samples, load_sample
 from ditr_lite.studies import robustness
 from ditr_lite.studies.robustness import CONDITIONS
 
@@ -116,6 +116,101 @@ def test_run_reports_every_strength_and_repeats_itself(tiny):
     rows = first["missing"]["rows"]
     assert [row["strength"] for row in rows] == [0.0, 0.3] and all(row["finite"] for row in rows)
     assert rows[0]["ditr"]["optical"] > 0 and set(rows[0]) == {"strength", "finite", "ditr", "keep_and_fill"}
+
+
+# --- disturbances ---
+
+
+@pytest.fixture(scope="module")
+def disturbed():
+    return {name: make(SCENE) for name, make in robustness.DISTURBANCES.items()}
+
+
+def test_no_disturbance_crashes_and_each_says_what_it_is_compared_with(disturbed, tiny):
+    for name, made in disturbed.items():
+        frame = made.frame
+        assert frame.rgb.dtype == np.uint8 and frame.rgb.shape == (*frame.depth.shape, 3), name
+        assert frame.depth.dtype == frame.depth_gt.dtype == np.float32 and frame.region.dtype == bool, name
+        assert np.isfinite(frame.depth).all() and (frame.depth >= 0).all(), name
+        assert made.counterpart.shape == SCENE.depth.shape and not (made.counterpart & ~SCENE.region).any(), name
+        here = np.sort(frame.depth_gt[frame.region]) / made.scale  # the same surfaces, pixel by pixel
+        there = np.sort(SCENE.depth_gt[made.counterpart])
+        times = len(here) // len(there)
+        np.testing.assert_allclose(here, np.repeat(there, times), rtol=1e-6, err_msg=name)
+
+
+def test_a_room_is_behind_and_the_glass_before_it_does_not_count(disturbed):
+    made = disturbed["room at 4 m"]
+    moved = (made.frame.depth != SCENE.depth).any(axis=0)
+    width = SCENE.depth.shape[1]
+    assert 0.14 < moved.mean() < 0.16 and set(np.unique(made.frame.depth[:, 0])) <= {0, 4}
+    assert not made.frame.region[:, : int(0.27 * width)].any() and made.frame.region.any()
+    assert np.array_equal(made.frame.depth == 0, SCENE.depth == 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "low", "high"),
+    [("10 far strays", 10, 5, 40), ("250 far strays", 250, 5, 40), ("50 near strays", 50, 0, 0.6)],
+)
+def test_strays_are_as_many_and_as_far_as_they_say_and_outside_the_region(disturbed, name, count, low, high):
+    frame = disturbed[name].frame
+    moved = frame.depth != SCENE.depth
+    assert moved.sum() == count and not moved[SCENE.region].any() and (SCENE.depth[moved] > 0).all()
+    assert low < frame.depth[moved].min() and frame.depth[moved].max() < high
+
+
+def test_turning_four_times_gives_the_frame_back():
+    frame = SCENE
+    for _ in range(4):
+        frame = robustness.turned(frame, 1).frame
+    assert np.array_equal(frame.depth, SCENE.depth) and np.array_equal(frame.rgb, SCENE.rgb)
+    assert robustness.turned(SCENE, 1).frame.depth.shape == SCENE.depth.shape[::-1]
+
+
+def test_sparse_frames_hold_few_true_readings(disturbed):
+    few, lines = disturbed["300 readings"].frame, disturbed["16 scan lines"].frame
+    assert few.depth.shape == (768, 1024) and (few.depth > 0).sum() == 300 and not few.depth[few.region].any()
+    rows = np.flatnonzero((lines.depth > 0).any(axis=1))
+    assert len(rows) == 16 and set(np.diff(rows)) == {48}
+    read = lines.depth > 0
+    assert np.array_equal(lines.depth[read], lines.depth_gt[read]) and not read[lines.region].any()
+    for frame in (few, lines):
+        depth = robustness.linear(frame)
+        assert np.isfinite(depth).all() and (depth[frame.region] > 0).all()
+        assert np.array_equal(depth[~frame.region], frame.depth[~frame.region])
+
+
+def test_linear_interpolation_continues_a_plane_through_the_region():
+    v, u = np.mgrid[:40, :60]
+    plane = (0.5 + 0.002 * u + 0.001 * v).astype(np.float32)
+    region = (np.abs(u - 30) < 8) & (np.abs(v - 20) < 6)
+    frame = Sample("plane", np.zeros((40, 60, 3), np.uint8), np.where(region, np.float32(9), plane), plane, region)
+    np.testing.assert_allclose(robustness.linear(frame), plane, atol=1e-6)
+
+
+def test_the_table_pairs_frames_with_themselves():
+    plain, worse = [0.01, 0.10, None], [0.02, 0.20, 0.3]
+    rows = {"x": {r: {"disturbed_m": worse, "undisturbed_m": plain} for r in robustness.REGIONS}}
+    rows["300 readings"] = {r: rows["x"][r] | {"linear_m": [0.04, 0.40, 0.6]} for r in robustness.REGIONS}
+    table = robustness.summarise_disturbances(rows)
+    assert table["x"]["found"]["ratio"] == [2.0, 2.0, 2.0] and "of_linear" not in table["x"]["found"]
+    assert table["300 readings"]["given"]["of_linear"] == [0.5, 0.5, 0.5]
+    text = robustness.format_disturbances(table)
+    assert text.count("2.00 [2.00, 2.00]") == 4 and text.count("0.50 [0.50, 0.50]") == 2 and "173.3" in text
+
+
+def test_disturbances_are_run_with_the_region_found_and_given(tiny):
+    some = {name: robustness.DISTURBANCES[name] for name in ("turned by 90", "300 readings", "distance x 3")}
+    rows = robustness.run_disturbances(tiny, [SCENE], some, progress=False)
+    assert rows == robustness.run_disturbances(tiny, [SCENE], some, progress=False)
+    for name, regions in rows.items():
+        for region in robustness.REGIONS:
+            row = regions[region]
+            assert ("linear_m" in row) == (name in robustness.SPARSE)
+            assert all(0 < value < 5 for values in row.values() for value in values), name
+    assert rows["distance x 3"]["given"]["disturbed_m"] == pytest.approx(
+        rows["distance x 3"]["given"]["undisturbed_m"], rel=0.02
+    )  # distance itself does not matter to the networks
 
 
 def test_the_committed_file_holds_every_condition_and_nothing_that_is_not_finite():

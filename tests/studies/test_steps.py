@@ -1,9 +1,12 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from ditr_lite.data import load_sample
+from ditr_lite import pipeline
+from ditr_lite.config import preset
+from ditr_lite.data import Sample, load_sample
 from ditr_lite.studies import steps as study
 
 
@@ -57,3 +60,59 @@ def test_the_verdict_is_of_the_most_steps_that_all_frames_saw(flying, said):
     assert text.startswith("10 steps against 1") and f"flying in a draw       {said}" in text
     assert "RMSE of a draw         worse (+10.0" in text and "the spread is about right" in text
     assert "too small" in study.verdicts({"1": rows["1"], "2": [row(0.05, 0.001)] * 2})
+
+
+SHAPE = (64, 96)
+
+
+def step_frame(shape=SHAPE):
+    """A surface at 0.6 m to the left of column 30, at 0.8 m to the right; all of it in the region."""
+    truth = np.full(shape, 0.6, np.float32)
+    truth[:, 30:] = 0.8
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(0, 255, (*shape, 3), np.uint8)
+    return Sample("step", rgb, truth.copy(), truth, np.ones(shape, bool))
+
+
+@pytest.mark.parametrize("shape", [SHAPE, (80, 100)])
+def test_a_draw_is_what_the_system_returns_for_its_seed(shape):
+    ditr = pipeline.Ditr(pipeline.build(preset("tiny")), preset("tiny"))
+    sample = step_frame(shape)
+    sample.region[40:], sample.depth[50:60, 20:40] = False, 0
+    members = study.draw_frame(ditr, sample, steps=2, count=3, seed=5)
+    assert members.shape == (3, *shape)
+    for k, member in enumerate(members):
+        again = ditr(sample.rgb, sample.depth, sample.region, steps=2, samples=1, seed=5 + k)
+        np.testing.assert_array_equal(member, again.depth)
+    with pytest.raises(ValueError, match="no true region"):
+        study.draw_frame(ditr, replace(sample, region=None), 1)
+
+
+def test_flying_pixels_hang_between_two_surfaces():
+    s = step_frame()
+    assert study.flying_share(s.depth_gt, s.depth_gt, s.region) == 0
+    depth = s.depth_gt.copy()
+    depth[:, 30] = 0.7  # one of the four columns within two pixels of the edge
+    assert study.flying_share(depth, s.depth_gt, s.region) == 25
+    depth[:, 30] = 0.605  # wrong, but on the other surface
+    assert study.flying_share(depth, s.depth_gt, s.region) == 0
+    depth[:, 50] = 0.7  # wrong, but no edge is near
+    assert study.flying_share(depth, s.depth_gt, s.region) == 0
+    assert study.flying_share(depth, np.full(SHAPE, 0.6, np.float32), s.region) is None
+
+
+def test_scores_of_draws_that_are_known():
+    s = step_frame()
+    members = np.stack([s.depth_gt + d for d in (0.03, 0.01, 0.01, 0.01)]).astype(np.float32)
+    found = study.draw_scores(members, s)
+    assert list(found) == list(study.SCORES)
+    assert found["mean_mm"] == pytest.approx(15, abs=1e-3) and found["single_mm"] == pytest.approx(15, abs=1e-3)
+    assert found["crps_mm"] == pytest.approx(15 - 3 * 20 / 12, abs=1e-3)  # three pairs lie 20 mm apart
+    assert found["coverage"] == 0 and study.draw_scores(2 * s.depth_gt - members[:2] + 0.02, s)["coverage"] == 100
+
+
+def test_four_honest_draws_cover_three_fifths():
+    rng, s = np.random.default_rng(0), step_frame()
+    truth = (0.7 + 0.01 * rng.normal(size=SHAPE)).astype(np.float32)
+    members = (0.7 + 0.01 * rng.normal(size=(4, *SHAPE))).astype(np.float32)
+    assert study.draw_scores(members, replace(s, depth_gt=truth))["coverage"] == pytest.approx(60, abs=2)

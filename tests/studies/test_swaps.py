@@ -7,6 +7,7 @@ import torch
 from ditr_lite import boundary, metrics, pipeline
 from ditr_lite.config import RefineConfig, preset
 from ditr_lite.data import Sample
+from ditr_lite.stage_two import BRANCHES
 from ditr_lite.studies import swaps
 from ditr_lite.studies.swaps import SWAPS, Swap, Swapped
 
@@ -49,15 +50,16 @@ def test_the_default_swap_is_the_system_bit_for_bit(tiny, frame):
 
 
 def given_to(monkeypatch, ditr, frame, swap):
-    """Return what each branch was given under a swap: branch -> conditioning image (9, H, W)."""
-    seen, original = {}, pipeline.Ditr.denoise
+    """Return what was painted under a swap: (painter, views) of the holes, then of the region."""
+    seen, original = [], pipeline.paint
 
-    def denoise(self, branch, image, *rest):
-        seen[branch] = image[0].numpy()
-        return original(self, branch, image, *rest)
+    def paint(painter, views, *rest):
+        seen.append((painter, views))
+        return original(painter, views, *rest)
 
-    monkeypatch.setattr(pipeline.Ditr, "denoise", denoise)
+    monkeypatch.setattr(pipeline, "paint", paint)
     Swapped(ditr, swap).complete(frame, samples=1)
+    monkeypatch.setattr(pipeline, "paint", original)
     return seen
 
 
@@ -66,34 +68,43 @@ def test_guides_go_where_the_swap_sends_them(monkeypatch, tiny, frame):
     maps = (out.boundary_rgb, out.boundary_depth, out.boundary_da)
     assert not np.array_equal(maps[0], maps[2])
     for guides in ((boundary.M_DA, boundary.M_RGB), (boundary.M_RGB, boundary.M_DA), (None, boundary.M_D)):
-        seen = given_to(monkeypatch, tiny, frame, Swap("", guides, region="true"))
-        for branch, k in zip(pipeline.BRANCHES, guides, strict=True):
-            np.testing.assert_array_equal(seen[branch][3] > 0, np.zeros(SHAPE, bool) if k is None else maps[k])
+        holes, region = given_to(monkeypatch, tiny, frame, Swap("", guides, region="true"))
+        np.testing.assert_array_equal(holes[1].guide[0, 0].numpy() > 0, maps[guides[1]])
+        found = region[1].guide[0, 0].numpy() > 0
+        assert found.any() == (guides[0] is not None)
+        if guides[0] == boundary.M_RGB:  # which the finer step is always given
+            np.testing.assert_array_equal(found, region[1].boundary[0, 0].numpy() > 0)
 
 
 def test_the_finer_step_keeps_its_guide(monkeypatch, tiny, frame):
-    boundaries = []
-    monkeypatch.setattr(Swapped, "sharpen", lambda self, decoded, *rest: boundaries.append(rest[-1]) or decoded)
+    boundaries = {}
     for name in ("default", "guides swapped", "no guide"):
-        Swapped(tiny, SWAPS[name]).complete(frame, samples=1)
-    assert boundaries[0].any() and all(torch.equal(b, boundaries[0]) for b in boundaries)
-    Swapped(tiny, SWAPS["no detail"]).complete(frame, samples=1)
-    assert len(boundaries) == 3
+        seen = given_to(monkeypatch, tiny, frame, replace(SWAPS[name], region="true"))
+        boundaries[name] = [views.boundary for _, views in seen]
+        assert all(painter.detail is not None for painter, _ in seen)
+    assert boundaries["default"][0].any()
+    for name in ("guides swapped", "no guide"):
+        assert all(map(torch.equal, boundaries[name], boundaries["default"]))
+    assert all(painter.detail is None for painter, _ in given_to(monkeypatch, tiny, frame, SWAPS["no detail"]))
 
 
 def test_evidence_is_withheld_and_nothing_else(monkeypatch, tiny, frame):
-    with_it = given_to(monkeypatch, tiny, frame, Swap("", region="true"))["optical"]
-    without = given_to(monkeypatch, tiny, frame, Swap("", region="true", evidence=False))["optical"]
-    assert with_it[8].any() and not without[7:].any()
-    np.testing.assert_array_equal(with_it[:7], without[:7])
+    with_it = given_to(monkeypatch, tiny, frame, Swap("", region="true"))
+    without = given_to(monkeypatch, tiny, frame, Swap("", region="true", evidence=False))
+    assert [painter.evidence for painter, _ in with_it] == [False, True]  # holes, region
+    assert [painter.evidence for painter, _ in without] == [False, False]
+    for (one, views), (other, same) in zip(with_it, without, strict=True):
+        assert all(torch.equal(getattr(views, name), getattr(same, name)) for name in vars(views))
+        assert replace(one, evidence=False) == replace(other, evidence=False)
 
 
-@pytest.mark.parametrize("only", pipeline.BRANCHES)
-def test_one_branch_paints_everything(monkeypatch, tiny, frame, only):
-    seen = given_to(monkeypatch, tiny, frame, Swap("", only=only, detail=False, region="true"))
-    assert list(seen) == [only]
-    out = Swapped(tiny, Swap("", only=only, detail=False, region="true"))(frame.rgb, frame.depth, frame.region)
-    np.testing.assert_array_equal(out.optical, out.geometric)
+@pytest.mark.parametrize("only", BRANCHES)
+def test_one_branch_paints_everything_with_its_own_guide(monkeypatch, tiny, frame, only):
+    swap = Swap("", only=only, region="true")
+    seen = given_to(monkeypatch, tiny, frame, swap)
+    assert len(seen) == 2 and all(painter.net is tiny.parts[only] for painter, _ in seen)
+    own = Swap("").guides[BRANCHES.index(only)]
+    assert swap.plan.painters == (only, only) and swap.plan.guides == (own, own)
 
 
 def test_regions_are_what_they_are_called(tiny, frame):
@@ -105,6 +116,12 @@ def test_regions_are_what_they_are_called(tiny, frame):
         np.testing.assert_array_equal(complete(tiny, frame, name), want)
     with pytest.raises(ValueError, match="no true region"):
         complete(tiny, replace(frame, region=None), "true region")
+
+
+def test_a_region_can_be_handed_over(tiny, frame):
+    other = np.roll(frame.region, 5, axis=1)
+    want = tiny(frame.rgb, frame.depth, other, samples=2, seed=3).depth
+    np.testing.assert_array_equal(Swapped(tiny, SWAPS["default"]).paint(frame, other, samples=2, seed=3), want)
 
 
 def test_nothing_of_the_system_itself_is_changed(tiny, frame):

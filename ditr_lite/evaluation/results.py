@@ -1,0 +1,84 @@
+"""Results files: what stands in their head, and how they are written and read.
+
+Every committed figure names the command that made it, the weights by their checksums and the versions of what it was
+computed with, so that anybody can make it again and see whether it still belongs to the weights.
+"""
+
+import json
+import platform
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..files import write_json
+from ..store import WEIGHTS, read_card
+
+
+def head(
+    command: str, weights: Path | str | None = None, parts: Sequence[str] | None = None, **notes: Any
+) -> dict[str, Any]:
+    """Return how a results file begins: command, checksums of the weights, versions, notes.
+
+    Args:
+        command: that makes the file again.
+        weights: folder of the weights; None for the shipped ones.
+        parts: the networks that the figures depend on; all by default.
+        notes: whatever else should be known, e.g. the split.
+
+    Raises:
+        ValueError: for a folder without weights, or without one of ``parts``.
+    """
+    there = {name: part["sha256"] for name, part in read_card(weights)["parts"].items()}
+    absent = [name for name in parts or () if name not in there]
+    if absent:
+        raise ValueError(f"{weights or WEIGHTS} holds no {', '.join(absent)}; it has {', '.join(there)}")
+    checksums = {name: there[name] for name in parts or there}
+    return {"command": command, "weights_sha256": checksums, "versions": versions(), **notes}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the libraries that figures depend on."""
+    return {"python": platform.python_version(), "numpy": np.__version__, "torch": torch.__version__}
+
+
+def tool_command(name: str, arguments: Sequence[str]) -> str:
+    """Return the command line of ``tools/name.py`` as it can be typed again."""
+    return shlex.join(["python", f"tools/{name}.py", *map(str, arguments)])
+
+
+def write(path: Path | str, begin: Mapping[str, Any], values: Mapping[str, Any]) -> None:
+    """Write a results file, whole or not at all.
+
+    Args:
+        path: e.g. ``ditr_lite/weights/results_test.json``.
+        begin: what :func:`head` returned.
+        values: the figures.
+    """
+    write_json(path, {**begin, **values})
+
+
+def results_path(name: str, folder: Path | str = WEIGHTS) -> Path:
+    """Return where the committed results called ``name`` are, e.g. ``test``."""
+    return Path(folder) / f"results_{name}.json"
+
+
+def read(name: str, folder: Path | str = WEIGHTS) -> dict[str, Any]:
+    """Read the committed results called ``name``.
+
+    Raises:
+        ValueError: when there are none.
+    """
+    path = results_path(name, folder)
+    if not path.is_file():
+        raise ValueError(f"no results in {path}: their command stands in the README or in the tool that makes them")
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def is_current(report: Mapping[str, Any], weights: Path | str | None = None) -> bool:
+    """Return whether results were made with these weights, by the checksums of the parts that they name."""
+    there = {name: part["sha256"] for name, part in read_card(weights)["parts"].items()}
+    return all(there.get(name) == checksum for name, checksum in report["weights_sha256"].items())
