@@ -1,8 +1,71 @@
-"""Checkers for the exercises on the whole pipeline: what a branch may see, what samples say together, what it costs."""
+"""Checkers for the exercises on the whole pipeline: normalised depth, what is known, what samples say, what it costs."""
 
 import numpy as np
 
 from .checker import Function, check
+
+
+def check_normalise(attempt: Function) -> bool:
+    """Check ``attempt(depth, low, high) -> depth_n``: log depth, low at -1 and high at 1, compressed beyond, 0 missing.
+
+    With u the scaled logarithm it is u where abs(u) <= 1 and sign(u) (1 + ln abs(u)) beyond, as in
+    ``conditioning.Bounds``.
+    """
+
+    def scaled(d, low, high):
+        read = np.where(d > 0, d, 1.0)
+        return (np.log(read) - np.log(low * high) / 2) / (np.log(high / low) / 2)
+
+    def compressed(u):
+        return np.where(np.abs(u) > 1, np.sign(u) * (1 + np.log(np.maximum(np.abs(u), 1))), u)
+
+    def right(d, low, high):
+        return np.where(d > 0, compressed(scaled(d, low, high)), 0.0)
+
+    def jumping(u):
+        return np.where(np.abs(u) > 1, np.sign(u) * np.log(np.maximum(np.abs(u), 1)), u)
+
+    def linear(d, low, high):
+        return 2 * (d - low) / (high - low) - 1
+
+    rng = np.random.default_rng(3)
+    depth = rng.uniform(0.5, 0.9, (5, 7))
+    depth[0, :3], depth[2, 4], depth[4, 0] = 0, 6.0, 0.1  # missing; a room behind; a stray before
+    mistakes = {
+        "that is a straight line in metres: take the logarithm of depth": lambda d, a, b: np.where(
+            d > 0, linear(d, a, b), 0.0
+        ),
+        "a straight line in metres, compressed: take the logarithm first": lambda d, a, b: np.where(
+            d > 0, compressed(linear(d, a, b)), 0.0
+        ),
+        "what lies beyond the bounds is not compressed: a room would take up many units": lambda d, a, b: np.where(
+            d > 0, scaled(d, a, b), 0.0
+        ),
+        "what lies beyond the bounds is clipped: it cannot be inverted": lambda d, a, b: np.where(
+            d > 0, np.clip(scaled(d, a, b), -1, 1), 0.0
+        ),
+        "beyond the bounds the map jumps: it is 1 + ln(abs(u)), which is 1 at abs(u) = 1": lambda d, a, b: np.where(
+            d > 0, jumping(scaled(d, a, b)), 0.0
+        ),
+        "only the far side is compressed; near strays need it, too": lambda d, a, b: np.where(
+            d > 0, np.where(scaled(d, a, b) > 0, right(d, a, b), scaled(d, a, b)), 0.0
+        ),
+        "missing pixels (0) should become 0": lambda d, a, b: compressed(scaled(d, a, b)),
+        "that maps to [0, 1]; low should become -1 and high 1": lambda d, a, b: np.where(
+            d > 0, (right(d, a, b) + 1) / 2, 0.0
+        ),
+        "the sign is reversed: low should become -1": lambda d, a, b: -right(d, a, b),
+        "the half range is ln(high / low) / 2: low becomes -1/2 with the whole": lambda d, a, b: np.where(
+            d > 0, compressed(scaled(d, a, b) / 2), 0.0
+        ),
+        "the middle is the geometric mean, sqrt(low high), not the mean": lambda d, a, b: np.where(
+            d > 0,
+            compressed(scaled(d, a, b) + (np.log(a * b) / 2 - np.log((a + b) / 2)) / (np.log(b / a) / 2)),
+            0.0,
+        ),
+    }
+    cases = [(depth, 0.45, 0.95), (depth.T, 0.6, 0.8)]
+    return check("normalisation", attempt, right, cases, mistakes, rtol=1e-5)
 
 
 def check_given(attempt: Function) -> bool:

@@ -9,6 +9,18 @@ from ditr_lite.evaluation.costs import count_flops
 from ditr_lite.exercises import pipeline as checks
 
 
+def scaled(depth, low, high):
+    middle, half = np.sqrt(low * high), np.sqrt(high / low)
+    return np.log(np.where(depth > 0, depth, middle) / middle) / np.log(half)
+
+
+def normalise(depth, low, high):
+    u = scaled(depth, low, high)
+    beyond = np.abs(u) > 1
+    u[beyond] = np.sign(u[beyond]) * (1 + np.log(np.abs(u[beyond])))
+    return u
+
+
 def given(depth, region):
     known = depth > 0
     known[region] = False
@@ -27,7 +39,32 @@ def conv_flops(channels_in, channels_out, kernel, height, width, stride):
     return 2 * places * channels_out * channels_in * kernel**2
 
 
-RIGHT = {checks.check_given: given, checks.check_spread: spread, checks.check_conv_flops: conv_flops}
+RIGHT = {
+    checks.check_normalise: normalise,
+    checks.check_given: given,
+    checks.check_spread: spread,
+    checks.check_conv_flops: conv_flops,
+}
+
+
+def read_only(formula):
+    return lambda d, low, high: np.where(d > 0, formula(d, low, high), 0.0)
+
+
+def straight(depth, low, high):
+    return 2 * (depth - low) / (high - low) - 1
+
+
+def squeezed(u):
+    return np.where(np.abs(u) > 1, np.sign(u) * (1 + np.log(np.maximum(np.abs(u), 1))), u)
+
+
+def about_the_mean(depth, low, high):
+    return squeezed((np.log(np.where(depth > 0, depth, 1)) - np.log((low + high) / 2)) / (np.log(high / low) / 2))
+
+
+def missing_left(depth, low, high):
+    return squeezed((np.log(np.where(depth > 0, depth, 1)) - np.log(low * high) / 2) / (np.log(high / low) / 2))
 
 
 def given_with(known=None, evidence=None):
@@ -49,6 +86,18 @@ def given_in_place(depth, region):
 
 
 MISTAKES = [
+    (checks.check_normalise, read_only(straight), "take the logarithm of depth"),
+    (checks.check_normalise, read_only(lambda *a: squeezed(straight(*a))), "take the logarithm first"),
+    (checks.check_normalise, scaled, "is not compressed"),
+    (checks.check_normalise, lambda *a: np.clip(scaled(*a), -1, 1), "is clipped"),
+    (checks.check_normalise, lambda *a: normalise(*a) - np.trunc(np.clip(scaled(*a), -1, 1)), "jumps"),
+    (checks.check_normalise, lambda *a: np.where(scaled(*a) < 0, scaled(*a), normalise(*a)), "near strays"),
+    (checks.check_normalise, missing_left, "should become 0"),
+    (checks.check_normalise, read_only(lambda *a: (normalise(*a) + 1) / 2), "[0, 1]"),
+    (checks.check_normalise, lambda *a: -normalise(*a), "sign"),
+    (checks.check_normalise, lambda *a: squeezed(scaled(*a) / 2), "half range"),
+    (checks.check_normalise, read_only(about_the_mean), "geometric mean"),
+    (checks.check_normalise, lambda d, low, high: normalise(d, low, high).ravel(), "shape"),
     (checks.check_given, lambda d, r: given(d, r)[::-1], "swapped"),
     (checks.check_given, lambda d, r: given(d, ~r), "swapped"),
     (checks.check_given, given_with(known=lambda d, r: d > 0), "leaks in"),
@@ -100,6 +149,12 @@ def test_counting_by_hand_agrees_with_the_counter():
         channels_in, channels_out, kernel, height, width, stride = case
         conv = torch.nn.Conv2d(channels_in, channels_out, kernel, stride, padding=kernel // 2)
         assert conv_flops(*case) == count_flops(conv, torch.zeros(1, channels_in, height, width))
+
+
+def test_the_frame_of_reference_is_the_systems():
+    depth = np.array([[0.0, 0.5, 0.62, 0.7], [0.8, 0.9, 9.0, 0.1]])
+    bounds = conditioning.depth_bounds(depth)
+    np.testing.assert_allclose(normalise(depth, bounds.low, bounds.high), bounds.normalise(depth), atol=1e-9)
 
 
 def test_the_exercises_are_what_the_pipeline_does():
