@@ -274,6 +274,13 @@ METRICS = [
         ("pairs are torn apart", '"paired": paired,', '"paired": False,'),
     ),
     *family(
+        "averages and intervals",
+        "evaluation/uncertainty",
+        ("kept: doubt forgotten", "doubt.astype(np.float64)], axis=1)", "0 * doubt.astype(np.float64)], axis=1)"),
+        ("temperature: upside down", "logs * np.exp(-log)", "logs * np.exp(log)"),
+        ("risk: the worst are kept", 'np.argsort(score, kind="stable")', 'np.argsort(-score, kind="stable")'),
+    ),
+    *family(
         "audit of tables",
         "paper/audit",
         ("RMSE and MAE swapped", 'v["mae"] - v["rmse"] > 2', 'v["rmse"] - v["mae"] > 2'),
@@ -398,6 +405,13 @@ REGION = [
         ("missed: false alarms", "known & sample.region & ~region\n", "known & ~sample.region & region\n"),
         ("discarded: holes too", "~sample.region & (sample.depth > 0)", "~sample.region"),
         ("price: sign", "(error - base)[pixels]", "(base - error)[pixels]"),
+    ),
+    *family(
+        "prices of mistakes",
+        "studies/robustness",
+        ("distance: not relative", "frame.region) / scale, 6)", "frame.region) * scale, 6)"),
+        ("strays: on glass", "(sample.depth > 0) & ~sample.region)", "(sample.depth > 0) & sample.region)"),
+        ("room: its glass counts", "sample.region & (column > share + border)", "sample.region"),
     ),
     *family(
         "prices of mistakes",

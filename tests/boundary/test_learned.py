@@ -11,19 +11,19 @@ from ditr_lite.boundary.learned import (
     BoundaryNet,
     LearnedBoundary,
     begin_with_stage_one,
-    build,
+    build_nets,
     depth_image,
+    linear_units,
     load,
     thin,
 )
-from ditr_lite.conditioning import depth_bounds
 from ditr_lite.config import RegionConfig, preset
 from ditr_lite.region import RegionNet
 
 
 def random_nets(seed=0):
     torch.manual_seed(seed)
-    nets = build()
+    nets = build_nets()
     for net in nets.values():
         torch.nn.init.constant_(net.out.bias, 0.0)
     return nets
@@ -44,7 +44,7 @@ def test_one_logit_a_pixel_and_few_boundaries_before_training():
 
 
 def test_small_enough_to_ship(tmp_path):
-    path = store.save_part("boundary", build().state_dict(), preset("lite"), tmp_path, {})
+    path = store.save_part("boundary", build_nets().state_dict(), preset("lite"), tmp_path, {})
     assert path.stat().st_size < 3_000_000
 
 
@@ -57,16 +57,24 @@ def test_every_parameter_learns():
 
 def test_encoders_begin_with_those_of_stage_one():
     torch.manual_seed(1)
-    region, nets = RegionNet(RegionConfig()), build()
-    begin_with_stage_one(nets, region.state_dict())
+    region, nets = RegionNet(RegionConfig(colour="scratch")), build_nets()
+    assert begin_with_stage_one(nets, region.state_dict()) == ["rgb", "depth"]
     image = torch.randn(1, 3, 32, 32)
     for mine, theirs in zip(nets["rgb"].encoder(image), region.encoder_rgb(image), strict=True):
         assert torch.equal(mine, theirs)
     for mine, theirs in zip(nets["depth"].encoder(image), region.encoder_depth(image[:, :2]), strict=True):
         assert torch.allclose(mine, theirs, atol=1e-5)  # relief is not looked at yet
     assert nets["depth"].encoder.down[0][0].weight[:, 2].abs().sum() == 0
-    with pytest.raises(ValueError, match="other sizes"):
-        begin_with_stage_one(build(), RegionNet(RegionConfig(width=8)).state_dict())
+
+
+def test_encoders_that_are_not_alike_begin_afresh():
+    for config, begun in ((RegionConfig(), ["depth"]), (RegionConfig(width=8, colour="scratch"), [])):
+        torch.manual_seed(1)
+        nets, same = random_nets(), random_nets()
+        assert begin_with_stage_one(nets, RegionNet(config).state_dict()) == begun
+        for mode in nets.keys() - set(begun):
+            pairs = zip(nets[mode].parameters(), same[mode].parameters(), strict=True)
+            assert all(torch.equal(a, b) for a, b in pairs)
 
 
 # ---- what the depth network sees
@@ -87,6 +95,17 @@ def test_relief_is_zero_on_a_wall_and_signed_at_a_step():
     wall[..., 20:] += 0.05
     relief = depth_image(wall, valid)[0, 2]
     assert (relief[12:, 19] < 0).all() and (relief[12:, 20] > 0).all() and relief[:, :14].abs().max() < 1e-5
+
+
+def test_units_are_those_that_the_shipped_networks_were_trained_in():
+    depth = np.linspace(1, 2, 101).reshape(1, -1).astype(np.float32)  # 2nd and 98th percentile: 1.02 and 1.98
+    low, high = 1.02 - 0.25 * 0.96, 1.98 + 0.10 * 0.96
+    wanted = 2 * (depth - low) / (high - low) - 1
+    assert np.allclose(linear_units(depth), wanted, atol=1e-5) and linear_units(depth).dtype == np.float32
+    holes = np.concatenate([depth, 0 * depth], axis=1)
+    assert np.array_equal(linear_units(holes)[:, :101], linear_units(depth))
+    wall = linear_units(np.float32([[0.7, 0.7, 0.71]]))  # a flat wall has a range of 15 cm and not more
+    assert wall[0, 2] - wall[0, 0] == pytest.approx(2 * 0.01 / (1.35 * 0.15), rel=1e-3)
 
 
 # ---- thinning
@@ -142,7 +161,7 @@ def test_any_size_and_both_kinds_of_image(backend):
 def test_each_kind_of_image_goes_to_its_own_network_at_its_own_threshold(backend):
     depth = np.random.default_rng(1).uniform(0.5, 1, (32, 48)).astype(np.float32)
     depth[3:9, 4:20] = 0
-    depth_n = torch.from_numpy(depth_bounds(depth).normalise(depth).astype(np.float32))[None, None]
+    depth_n = torch.from_numpy(linear_units(depth))[None, None]
     x = depth_image(depth_n, torch.from_numpy(depth > 0).float()[None, None])
     with torch.no_grad():
         wanted = torch.sigmoid(backend.nets["depth"](x))[0, 0].numpy()
@@ -189,7 +208,7 @@ def test_weights_of_another_folder(tmp_path):
 
 @pytest.mark.parametrize("broken", ["thresholds", "rgb.out.weight"])
 def test_weights_of_other_sizes_are_refused(tmp_path, broken):
-    state = build().state_dict() | {"thresholds": torch.tensor([0.3, 0.3])}
+    state = build_nets().state_dict() | {"thresholds": torch.tensor([0.3, 0.3])}
     state[broken] = torch.zeros(3, 5, 1, 1).flatten() if broken == "thresholds" else torch.zeros(3, 5, 1, 1)
     store.save_part("boundary", state, preset("tiny"), tmp_path, {})
     with pytest.raises(ValueError, match="other sizes"):

@@ -2,11 +2,12 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.config import preset
 from ditr_lite.data import load_sample
+from ditr_lite.evaluation.protocols import fitted
 from ditr_lite.peers import networks
-from ditr_lite.pipeline import compose
+from ditr_lite.pipeline import build, compose
+from ditr_lite.stage_two import Painter
 from ditr_lite.store import save_part
 
 TINY = preset("tiny")
@@ -18,8 +19,9 @@ def make(name):
     net = networks.build_peer(name.removesuffix("_aligned"), TINY)
     for p in net.parameters():
         torch.nn.init.normal_(p, std=0.02)
-    autoencoder = VQAutoencoder(TINY.autoencoder).eval() if name == "single_latent_diffusion" else None
-    return networks.Peer(name, net, TINY, autoencoder)
+    autoencoder = build(TINY)["autoencoder"].eval()
+    painter = Painter(net, autoencoder, None, None, False) if name == "single_latent_diffusion" else None
+    return networks.Peer(name, net, TINY, painter)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +48,7 @@ def test_colour_alone_looks_at_no_depth(frame):
 def test_alignment_undoes_a_scale_and_a_shift():
     truth = np.random.default_rng(0).uniform(0.4, 0.9, (12, 16)).astype(np.float32)
     readings = np.where(truth > 0.6, truth, 0)
-    assert np.allclose(networks.aligned(2 * truth - 0.3, readings), truth, atol=1e-5)
+    assert np.allclose(fitted(2 * truth - 0.3, readings), truth, atol=1e-5)
 
 
 def test_confidence_decides_between_prediction_and_sensor():
@@ -71,6 +73,36 @@ def test_readings_inside_the_region_do_not_steer_the_solve(frame):
     far = np.where(frame.region & (frame.depth > 0), frame.depth + 0.3, frame.depth).astype(np.float32)
     assert not np.allclose(peer(frame.rgb, far), peer(frame.rgb, far, frame.region), atol=1e-3)
     assert np.isfinite(peer(frame.rgb, frame.depth, np.ones_like(frame.region))).all()  # nothing left outside
+
+
+@pytest.mark.parametrize("name", ["regression", "two_stream_confidence", "single_latent_diffusion"])
+def test_a_room_behind_and_strays_move_a_prediction_by_little(name, frame):
+    peer = make(name)
+    far = frame.depth.copy()
+    far[5:8:2, 5:250:9] = 30.0
+    before, after = peer(frame.rgb, frame.depth), peer(frame.rgb, far)
+    assert np.median(np.abs(after / before - 1)) < 0.005
+
+
+def test_distance_is_no_matter_to_what_sees_depth(frame):
+    for name in ("regression", "single_latent_diffusion"):
+        one, far = (make(name)(frame.rgb, (k * frame.depth).astype(np.float32)) for k in (1, 3))
+        assert np.median(np.abs(far / one - 3)) < 0.01
+
+
+def test_the_single_denoiser_is_handed_what_the_system_has(tmp_path, frame):
+    parts = build(TINY)
+    save_part("autoencoder", parts["autoencoder"].state_dict(), TINY, tmp_path, {})
+    net = make("single_latent_diffusion").net
+    save_part("single_latent_diffusion-0", net.state_dict(), TINY, tmp_path, {})
+    peer = networks.load_peers(tmp_path, weights=tmp_path)["single_latent_diffusion"]
+    assert peer.painter.net is peer.net and peer.painter.encoder is None and not peer.painter.evidence
+    wanted = parts["autoencoder"].state_dict()["latent_scale"].half().float()
+    assert torch.equal(peer.painter.autoencoder.state_dict()["latent_scale"], wanted)
+    assert (peer(frame.rgb, frame.depth) > 0).all()
+    with pytest.raises(ValueError, match="no weights called 'autoencoder'"):
+        save_part("x", {}, TINY, tmp_path / "empty", {})
+        networks.single_painter(net, TINY, tmp_path / "empty")
 
 
 def test_peers_are_loaded_from_their_folder(tmp_path, frame):

@@ -1,6 +1,5 @@
 import json
 
-import numpy as np
 import pytest
 import torch
 
@@ -10,7 +9,8 @@ from ditr_lite.peers import networks
 from ditr_lite.peers import train as pt
 from ditr_lite.pipeline import build
 from ditr_lite.store import read_card, save_part
-from ditr_lite.training.batches import draw, load_scenes
+from ditr_lite.training.batches import frames_in_order
+from ditr_lite.training.scenes import Pool, load_scenes
 
 TINY = preset("tiny")
 DATA = SAMPLES / "train"
@@ -24,8 +24,13 @@ def weights(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def scenes(tmp_path_factory):
-    return load_scenes(DATA, 2, "classical", tmp_path_factory.mktemp("maps") / "maps.npz")
+def pool():
+    return Pool([load_scenes(DATA, 2)])
+
+
+@pytest.fixture(scope="module")
+def batch(pool):
+    return next(frames_in_order(pool.groups[0], TINY.size))
 
 
 def run(arm, folder, weights, minutes=1e-4, seconds_a_step=0.01):
@@ -53,12 +58,12 @@ def test_steps_follow_from_the_time_of_one(tmp_path, weights):
     assert entries["regression"]["steps"] == 2
 
 
-def test_all_networks_are_timed_in_turn(tmp_path, scenes):
-    times = pt.step_times(tmp_path / "times.json", scenes, TINY, build(TINY)["autoencoder"], rounds=1)
+def test_all_networks_are_timed_in_turn(tmp_path, pool):
+    times = pt.step_times(tmp_path / "times.json", pool, TINY, build(TINY), rounds=1)
     assert set(times) == {*networks.NAMES, *pt.OWN} and min(times.values()) > 0
     kept = {name: 1.0 for name in times}
     (tmp_path / "times.json").write_text(json.dumps(kept))
-    assert pt.step_times(tmp_path / "times.json", scenes, TINY, None) == kept
+    assert pt.step_times(tmp_path / "times.json", pool, TINY, None) == kept
 
 
 @pytest.mark.parametrize(("arm", "minutes", "reason"), [("oracle", 1, "unknown arm"), ("dp", 0, "positive number")])
@@ -67,30 +72,42 @@ def test_bad_arguments_are_refused(arm, minutes, reason):
         pt.train_arm(arm, minutes)
 
 
-def test_the_true_orientation_costs_nothing_and_a_wrong_one_does(scenes):
-    batch = draw(scenes, np.array([0, 1]), np.random.default_rng(0))
-    log = pt.true_metres(batch, scenes).clamp(min=0.05).log()
+def test_the_true_orientation_costs_nothing_and_a_wrong_one_does(batch):
+    log = batch.truth_m.clamp(min=0.05).log()
     out = torch.zeros(2, 3, *log.shape[2:])
     out[:, 0, :, :-1], out[:, 1, :-1] = (log[..., 1:] - log[..., :-1])[:, 0], (log[..., 1:, :] - log[..., :-1, :])[:, 0]
-    assert pt.orientation_loss(out, batch, scenes)["gradient_l1"] < 1e-7
-    assert pt.orientation_loss(out + 0.01, batch, scenes)["gradient_l1"] > 0.005
+    assert pt.orientation_loss(out, batch)["gradient_l1"] < 1e-7
+    assert pt.orientation_loss(out + 0.01, batch)["gradient_l1"] > 0.005
 
 
-def test_truth_in_metres_is_mirrored_with_its_frame(scenes):
-    for seed in range(4):
-        batch = draw(scenes, np.array([0, 1]), np.random.default_rng(seed))
-        known = batch.gt_known > 0
-        assert torch.equal(pt.true_metres(batch, scenes) > 0, known)
-
-
-def test_a_perfect_prediction_scores_next_to_nothing(scenes):
-    batch = draw(scenes, np.array([0]), np.random.default_rng(0))
-    assert pt.depth_loss(torch.zeros_like(batch.gt_n), batch)["total"] < 0.01
+def test_a_perfect_prediction_scores_next_to_nothing(batch):
+    assert pt.depth_loss(batch.relative_error(batch.gt_n), batch)["total"] < 0.01
     assert pt.depth_loss(torch.full_like(batch.gt_n, 0.1), batch)["total"] > 1
 
 
-def test_every_peer_has_a_loss(scenes):
-    batch_names = [name for name in networks.NAMES if name != "single_latent_diffusion"]
-    for name in batch_names:
-        loss = pt.peer_step(name, networks.build_peer(name, TINY), scenes)(0)
-        assert torch.isfinite(loss["total"])
+def test_every_peer_has_a_loss_that_reaches_its_network(pool):
+    for name in networks.NETS:
+        net = networks.build_peer(name, TINY)
+        pt.peer_step(name, net, pool, TINY)(0)["total"].backward()
+        assert net.out.weight.grad.abs().sum() > 0, name
+
+
+def test_the_single_denoiser_learns_without_a_region(pool, monkeypatch):
+    seen = []
+    monkeypatch.setattr(pt.recipes, "denoising_loss", lambda *a: seen.append(a) or torch.zeros(()))
+    parts = build(TINY)
+    painter = pt.painter_of("geometric", parts, TINY)
+    pt.single_step(painter, pool, TINY)(0)
+    _, drawn, (image, filled, known), mask, *_ = seen[0]
+    assert drawn.region.any() and not image[:, 6].any() and not image[:, 7:].any()  # no region, no evidence
+    assert torch.equal(image[:, 5:6], drawn.valid) and mask.shape == known.shape
+    assert torch.equal(mask > 0, torch.nn.functional.max_pool2d(drawn.gt_known, 4) > 0)
+
+
+def test_an_arm_may_learn_from_several_folders(tmp_path, weights):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "times.json").write_text(json.dumps({"regression": 0.01}))
+    entries = pt.train_arm(
+        "regression", 1e-4, 0, [DATA, SAMPLES / "val"], tmp_path / "out", tmp_path / "work", 2, TINY, weights
+    )
+    assert entries["regression"]["scenes"] == 4

@@ -1,11 +1,14 @@
-"""The paper's rate for its denoiser, and one step of training of every part at the paper's widths."""
+"""The paper's recipe for stage one, its rate for the denoiser, and a step of every part at the paper's widths."""
 
+import math
 import resource
 import sys
 
+import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+from made_scenes import make_scenes
 
 from ditr_lite import diffusion
 from ditr_lite.autoencoder import VQAutoencoder, autoencoder_loss
@@ -13,29 +16,143 @@ from ditr_lite.conditioning import CHANNELS
 from ditr_lite.config import preset
 from ditr_lite.region import RegionNet, region_loss
 from ditr_lite.schedule import make_schedule
-from ditr_lite.training import as_the_paper as recipes
+from ditr_lite.training.as_the_paper import (
+    BASE_RATE,
+    BATCH,
+    DENOISER_BATCH,
+    EPOCHS,
+    FALL,
+    MOMENTUM,
+    PEAK,
+    WEIGHT_DECAY,
+    descend,
+    paper_learning_rate,
+    scaled_rate,
+    sgd,
+    train_region,
+    trosnet_learning_rate,
+)
 from ditr_lite.unet import DenoisingUNet
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return make_scenes(4, (48, 64))
+
+
+def net():
+    torch.manual_seed(0)
+    return RegionNet(preset("tiny").region)
+
+
+def test_constants_are_the_papers():
+    assert (EPOCHS, BATCH, MOMENTUM, WEIGHT_DECAY) == (200, 16, 0.9, 1e-4)
+
+
+def test_paper_rate_is_a_cosine_times_an_exponential():
+    assert paper_learning_rate(0) == PEAK and paper_learning_rate(EPOCHS) == pytest.approx(0)
+    halfway = paper_learning_rate(100)
+    assert halfway == pytest.approx(PEAK / 2 / math.sqrt(10))  # cosine: a half; exponential: the root of a tenth
+    for epoch in (10, 60, 150):
+        cosine = (1 + math.cos(math.pi * epoch / EPOCHS)) / 2
+        assert paper_learning_rate(epoch, fall=0) == pytest.approx(PEAK * cosine)
+        assert paper_learning_rate(epoch) / paper_learning_rate(epoch, fall=0) == pytest.approx(
+            math.exp(-FALL * epoch / EPOCHS)
+        )
+    rates = [paper_learning_rate(e) for e in range(EPOCHS + 1)]
+    assert (np.diff(rates) < 0).all()
+    assert paper_learning_rate(3, 999, 10, 0.1) == paper_learning_rate(3, 0, 10, 0.1)
+
+
+@pytest.mark.parametrize("epoch, epochs", [(-1, 10), (11, 10), (0, 0)])
+def test_paper_rate_refuses_epochs_that_there_are_not(epoch, epochs):
+    with pytest.raises(ValueError, match="expected an epoch from 0 to"):
+        paper_learning_rate(epoch, epochs=epochs)
+
+
+def test_trosnet_rate_is_a_line_plus_a_sine_of_period_228():
+    assert trosnet_learning_rate(0, 0) == pytest.approx(0.001)
+    assert trosnet_learning_rate(0, 57) == pytest.approx(0.0015)  # a quarter of the period: the crest
+    assert trosnet_learning_rate(0, 171) == pytest.approx(0.0005)
+    assert trosnet_learning_rate(150, 57) == pytest.approx(0.0006 + 0.0003)
+    assert trosnet_learning_rate(40, 10) == pytest.approx(trosnet_learning_rate(40, 238))
+
+
+def test_optimiser_is_the_papers_and_leaves_frozen_weights_out():
+    model = net()
+    model.encoder_rgb.requires_grad_(False)
+    group = sgd(model).param_groups[0]
+    assert (group["momentum"], group["weight_decay"], group["nesterov"]) == (0.9, 1e-4, False)
+    assert len(group["params"]) == sum(p.requires_grad for p in model.parameters()) < len(list(model.parameters()))
+
+
+def test_a_step_is_the_textbook_step():
+    x = torch.nn.Parameter(torch.tensor([2.0]))
+    optimiser = torch.optim.SGD([x], lr=99.0, momentum=0.9, weight_decay=0.1)
+    descend(optimiser, (x**2).sum(), 0.01)  # gradient 4 + 0.1 * 2
+    assert x.item() == pytest.approx(2 - 0.01 * 4.2)
+    v, before = 0.9 * 4.2 + 2.1 * x.item(), x.item()
+    descend(optimiser, (x**2).sum(), 0.001)
+    assert x.item() == pytest.approx(before - 0.001 * v)
+
+
+def test_training_learns_follows_the_law_and_repeats(scenes):
+    model, rates = net(), []
+
+    def law(epoch, iteration, epochs):
+        rates.append((epoch, iteration, epochs))
+        return 0.05
+
+    rows = train_region(model, scenes, 8, 3, law, validate=lambda: {"eval_mode": float(not model.training)})
+    assert rates == [(i // 2, i, 8) for i in range(16)]
+    assert rows[-1]["total"] < 0.9 * rows[0]["total"] and rows[0]["rate"] == 0.05
+    assert [r["epoch"] for r in rows] == list(range(8)) and all(r["eval_mode"] == 1 for r in rows)
+    assert not model.training and {"ce", "dice", "side", "boundary", "seconds"} <= set(rows[0])
+    again = net()
+    train_region(again, scenes, 8, 3, lambda *_: 0.05)
+    assert all(torch.equal(a, b) for a, b in zip(model.parameters(), again.parameters(), strict=True))
+
+
+def test_rate_zero_changes_nothing(scenes):
+    model, before = net(), net()
+    train_region(model, scenes, 1, 4, lambda *_: 0.0)
+    assert all(torch.equal(a, b) for a, b in zip(model.parameters(), before.parameters(), strict=True))
+
+
+def test_class_weights_reach_the_loss(scenes):
+    plain, heavy = (
+        train_region(net(), scenes, 1, 4, lambda *_: 0.0, class_weights=w)[0] for w in ((1, 1, 1), (0.01, 1, 1))
+    )
+    assert plain["ce"] != heavy["ce"] and plain["dice"] == pytest.approx(heavy["dice"])
+
+
+@pytest.mark.parametrize("epochs, batch", [(0, 4), (1, 0)])
+def test_nothing_to_do_is_refused(scenes, epochs, batch):
+    with pytest.raises(ValueError, match="at least 1"):
+        train_region(net(), scenes, epochs, batch)
+
+
+def test_frames_are_brought_to_the_size_asked_for(scenes):
+    seen = []
+    model = net()
+    model.register_forward_hook(lambda module, given, out: seen.append(tuple(given[0].shape)))
+    train_region(model, scenes, 1, 3, lambda *_: 0.0)
+    train_region(model, scenes, 1, 4, lambda *_: 0.0, size=(32, 32))
+    assert seen == [(3, 3, 48, 64), (1, 3, 48, 64), (4, 3, 32, 32)]
+
+
+# ---- stage two
 
 PAPER = preset("paper")
 SIZE = (64, 96)  # the widths are the paper's, the image is small
 
 
 def test_the_stated_rate_and_the_scaled_one():
-    assert (recipes.BATCH, recipes.BASE_RATE) == (64, 1e-6)
-    assert recipes.scaled_rate() == pytest.approx(6.4e-5) and recipes.scaled_rate(gpus=2) == pytest.approx(1.28e-4)
+    assert (DENOISER_BATCH, BASE_RATE) == (64, 1e-6)
+    assert scaled_rate() == pytest.approx(6.4e-5) and scaled_rate(gpus=2) == pytest.approx(1.28e-4)
     for bad in ({"base": 0.0}, {"batch": 0}, {"gpus": 0}):
         with pytest.raises(ValueError, match="expected a positive base"):
-            recipes.scaled_rate(**bad)
-
-
-def test_only_what_is_not_frozen_is_optimised():
-    model = torch.nn.Linear(2, 2)
-    model.bias.requires_grad_(False)
-    (group,) = recipes.make_optimiser(model).param_groups
-    assert group["lr"] == 1e-6 and [p.shape for p in group["params"]] == [(2, 2)]
-    assert recipes.make_optimiser(model, 2e-4).param_groups[0]["lr"] == 2e-4
-    with pytest.raises(ValueError, match="all of them are frozen"):
-        recipes.make_optimiser(model.requires_grad_(False))
+            scaled_rate(**bad)
 
 
 def region_case():
@@ -71,7 +188,7 @@ def test_a_step_of_training_runs_at_the_papers_widths(case, lr):
     torch.manual_seed(0)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     model, loss = case()
-    optimiser = recipes.make_optimiser(model.train(), lr)
+    optimiser = torch.optim.Adam(model.train().parameters(), lr)
     before = loss()
     before.backward()
     without = [name for name, p in model.named_parameters() if p.grad is None]

@@ -6,37 +6,27 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_scenes import make_scenes
 
 from ditr_lite import pipeline
-from ditr_lite.conditioning import depth_bounds
-from ditr_lite.config import RefineConfig, preset
+from ditr_lite.boundary import get_backend
+from ditr_lite.config import RefineConfig, override, preset
 from ditr_lite.pipeline import Ditr, build
-from ditr_lite.region import class_boundary, refine_region
+from ditr_lite.region import refine_region, region_probability
 from ditr_lite.training import finetune
-from ditr_lite.training.batches import Scenes, draw
-from ditr_lite.training.finetune import final_rmse, finetune_region, paint, paint_once, soft_compose, soft_region
-from ditr_lite.training.recipes import batches
+from ditr_lite.training.batches import frames_in_order
+from ditr_lite.training.finetune import (
+    final_depth,
+    final_rmse,
+    finetune_region,
+    frame_painters,
+    soft_compose,
+    soft_region,
+    whole_frames,
+)
 
-TINY = preset("tiny")
+TINY = override(preset("tiny"), **{"window": 0, "sampler.samples": 1, "refine.median": 3, "refine.dilate": 3})
 KERNELS = [RefineConfig(), RefineConfig(3, 3, 1), RefineConfig(0, 5, 2), RefineConfig(5, 0, 3), RefineConfig(3, 3, 0)]
-
-
-def make_scenes(count, shape):
-    """Tilted planes at 0.5 to 0.8 m with a bright box of glass or metal, half missing, half 5 cm too far."""
-    rng = np.random.default_rng(0)
-    gt = np.tile(np.linspace(500, 800, shape[1]).astype(np.uint16), (count, shape[0], 1))
-    rgb, material = rng.integers(0, 120, (count, *shape, 3), np.uint8), np.zeros((count, *shape), np.uint8)
-    depth = gt.copy()
-    gt[:, :3] = 0  # unknown
-    for k in range(count):
-        top, left = (int(rng.integers(0, n // 2)) for n in shape)
-        box = np.s_[k, top : top + shape[0] // 3, left : left + shape[1] // 3]
-        rgb[box] += 120
-        material[box] = 1 + k % 2
-        depth[box] += 50
-        depth[k, top : top + shape[0] // 6, left : left + shape[1] // 3] = 0
-    guides = np.stack([class_boundary(torch.from_numpy(material).long()).numpy()] * 2, axis=1).astype(np.uint8)
-    return Scenes([f"made_{k}" for k in range(count)], rgb, depth, gt, material, guides)
 
 
 @pytest.fixture(scope="module")
@@ -112,48 +102,57 @@ def test_a_hard_region_composes_as_the_pipeline_does():
     np.testing.assert_allclose(half, (optical + np.where(depth > 0, depth, geometric)) / 2, rtol=1e-6)
 
 
+def frames(scenes):
+    return next(frames_in_order(scenes, TINY.size, backend=get_backend("classical")))
+
+
 def test_final_rmse_is_in_metres_per_frame_over_known_pixels(scenes):
-    batch = draw(scenes, np.arange(2), np.random.default_rng(0), augment=False)
+    batch = frames(scenes)
     metres = torch.tensor([0.02, 0.06]).view(2, 1, 1, 1)
-    wrong = batch.gt_n + metres / batch.scale_m + 99 * (1 - batch.gt_known)
+    wrong = batch.truth_m + metres + 99 * (1 - batch.gt_known)
     assert final_rmse(wrong, batch).item() == pytest.approx(0.04, rel=1e-4)
-    exact = batch.gt_n.clone().requires_grad_()
+    exact = batch.truth_m.clone().requires_grad_()
     final_rmse(exact, batch).backward()
     assert torch.isfinite(exact.grad).all()
 
 
 def test_painting_is_what_the_pipeline_paints(scenes, parts):
-    batch = draw(scenes, np.arange(1), np.random.default_rng(0), augment=False)
-    region = (batch.material > 0)[:, None].float()
+    batch = frames(scenes)
     ditr = Ditr(copy.deepcopy(parts), TINY)
-    image = scenes.rgb[0]
     depth = scenes.depth[0].astype(np.float32) / 1000
-    m_rgb, m_da = scenes.guides[0] > 0
-    bounds = depth_bounds(depth)
     # the branches draw noise of their own in the pipeline; an untrained net of these sizes hardly hears it
-    wanted = ditr.inpaint(image, depth, scenes.material[0] > 0, (m_rgb, m_rgb, m_da), bounds, 1, 1, 0)
-    got = [bounds.denormalise(p[0, 0].numpy()) for p in paint(parts, batch, region, TINY)]
-    optical_off, geometric_off = (np.abs(g - w[0]).mean() for g, w in zip(got, wanted, strict=True))
-    assert optical_off < 0.02 and geometric_off < 0.02
-    assert np.abs(got[0] - wanted[1][0]).mean() > 2 * optical_off  # and not the other branch's
+    wanted = ditr.inpaint(scenes.rgb[0], depth, scenes.material[0] > 0)
+    got = whole_frames(frame_painters(parts, TINY), TINY)(batch, batch.region)
+    optical_off = np.abs(got[0][0, 0].numpy() - wanted.optical).mean()
+    holes = (depth == 0) & (scenes.material[0] == 0)
+    assert optical_off < 0.02 and not holes.all()
+    assert np.abs(got[0][0, 0].numpy() - got[1][0, 0].numpy()).mean() > 2 * optical_off  # and not the other branch's
 
 
-def test_paintings_are_looked_up_and_mirrored(scenes, parts):
-    painted = paint_once(parts, scenes, TINY)
-    plain = next(batches(scenes, 2))
-    optical, geometric = painted(plain)
-    assert optical.shape == plain.gt_n.shape and not torch.equal(optical, geometric)
-    drawn = (draw(scenes, np.array([1]), np.random.default_rng(seed)) for seed in range(20))
-    mirrored = next(batch for batch in drawn if batch.flipped.all())
-    assert torch.equal(painted(mirrored)[0][0], optical[1].flip(2))
+def test_painters_have_the_finer_final_step_where_there_is_one(scenes, parts):
+    painters = frame_painters(parts, TINY)
+    assert all(p.detail is parts["detail"] for p in painters.values())
+    assert painters["optical"].evidence and not painters["geometric"].evidence
+    without = {k: v for k, v in parts.items() if k != "detail"}
+    assert frame_painters(torch.nn.ModuleDict(without), TINY)["optical"].detail is None
 
 
-def test_the_painting_region_joins_found_and_true(scenes, parts, monkeypatch):
+def test_branches_paint_for_the_found_region_joined_with_the_true_one(scenes):
+    batch = frames(scenes)
     seen = []
-    monkeypatch.setattr(finetune, "paint", lambda p, b, region, c, s: seen.append(region) or paint(p, b, region, c, s))
-    paint_once(parts, scenes, TINY)
-    true = torch.from_numpy(scenes.material > 0)[:, None]
-    assert (seen[0][true] == 1).all() and set(seen[0].unique().tolist()) <= {0.0, 1.0}
+
+    def paints(given, region):
+        seen.append(region)
+        return torch.full_like(region, 2.0), torch.full_like(region, 3.0)
+
+    soft = torch.full_like(batch.region, 0.2)
+    soft[..., :5, :] = 0.7
+    depth = final_depth(batch, soft, paints)
+    found = (soft > 0.5) | (batch.region > 0)
+    assert torch.equal(seen[0] > 0, found) and set(seen[0].unique().tolist()) == {0.0, 1.0}
+    readings = batch.bounds.denormalise(batch.depth_n)
+    wanted = soft * 2 + (1 - soft) * torch.where(batch.valid > 0, readings, 3.0)
+    assert torch.allclose(depth, wanted)
 
 
 @pytest.mark.parametrize("straight_through", [False, True])
@@ -162,18 +161,18 @@ def test_the_region_moves_to_where_final_depth_gains(scenes, parts, straight_thr
     scenes = replace(scenes, depth=np.where(scenes.depth > 0, scenes.depth + 30, 0).astype(np.uint16))
     model = copy.deepcopy(parts["region"])
 
-    def perfect(batch):
-        return batch.gt_n, batch.gt_n
+    def perfect(batch, region):
+        return batch.truth_m, batch.truth_m
 
     def shares(net):
-        batch = next(batches(scenes, 2))
-        return float(finetune.region_probability(net(batch.rgb, batch.depth_n, batch.valid)).detach().mean())
+        batch = frames(scenes)
+        return float(region_probability(net(batch.rgb, batch.depth_n, batch.valid)).detach().mean())
 
     control, before = copy.deepcopy(model), shares(model)
     settings = {"batch": 2, "rate": 0.05, "straight_through": straight_through}
-    finetune_region(control, scenes, perfect, RefineConfig(3, 3, 1), 6, rmse_weight=0, **settings)
-    rows = finetune_region(model, scenes, perfect, RefineConfig(3, 3, 1), 6, rmse_weight=50, **settings)
-    assert shares(model) > shares(control) and rows[-1]["rmse_m"] < rows[0]["rmse_m"]
+    finetune_region(control, scenes, perfect, TINY, 6, rmse_weight=0, **settings)
+    rows = finetune_region(model, scenes, perfect, TINY, 6, rmse_weight=50, **settings)
+    assert shares(model) > shares(control)
     assert len(rows) == 6 and before < 1
     for row in rows:
         assert row["total"] == pytest.approx(row["segmentation"] + 50 * row["rmse_m"], rel=1e-5)
@@ -181,7 +180,7 @@ def test_the_region_moves_to_where_final_depth_gains(scenes, parts, straight_thr
 
 def test_stage_two_stays_frozen_and_stage_one_moves(scenes, parts):
     model, before = copy.deepcopy(parts["region"]), copy.deepcopy(parts.state_dict())
-    finetune_region(model, scenes, paint_once(parts, scenes, TINY), TINY.refine, 1, batch=2)
+    finetune_region(model, scenes, whole_frames(frame_painters(parts, TINY), TINY), TINY, 1, batch=2)
     assert all(torch.equal(v, before[k]) for k, v in parts.state_dict().items())
     assert not torch.equal(model.classify.weight, parts["region"].classify.weight)
     assert not model.training and not any(p.requires_grad for p in model.parameters())
@@ -190,7 +189,7 @@ def test_stage_two_stays_frozen_and_stage_one_moves(scenes, parts):
 @pytest.mark.parametrize("steps, batch", [(0, 1), (1, 0)])
 def test_nothing_to_do_is_refused(scenes, parts, steps, batch):
     with pytest.raises(ValueError, match="at least 1"):
-        finetune_region(parts["region"], scenes, None, TINY.refine, steps, batch=batch)
+        finetune_region(parts["region"], scenes, None, TINY, steps, batch=batch)
 
 
 def test_constants_are_the_papers():

@@ -1,0 +1,191 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_scenes import make_scenes
+
+from ditr_lite.region import IGNORE
+from ditr_lite.training import views
+from ditr_lite.training.views import (
+    blunder,
+    disturb,
+    false_claim,
+    frame_view,
+    grow,
+    look,
+    lose,
+    placement,
+    spoil,
+    thin_out,
+    window_view,
+)
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return make_scenes(2, (48, 64))
+
+
+def rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+def box(shape=(40, 60)):
+    out = np.zeros(shape, bool)
+    out[10:30, 20:40] = True
+    return out
+
+
+# --- placing ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_plain_frame_is_the_scene_itself(scenes):
+    view = frame_view(scenes, 1, (48, 64), None)
+    assert np.array_equal(view.rgb, scenes.rgb[1]) and np.array_equal(view.material, scenes.material[1])
+    assert np.allclose(view.depth, scenes.depth[1] / 1000) and np.allclose(view.depth_gt, scenes.depth_gt[1] / 1000)
+    assert np.array_equal(view.region, scenes.material[1] > 0) and view.depth.dtype == np.float32
+
+
+def test_a_frame_of_another_aspect_has_borders_that_are_not_scored(scenes):
+    view = frame_view(scenes, 0, (64, 64), None)
+    above = np.s_[:6]
+    assert (view.material[above] == IGNORE).all() and not view.depth[above].any() and not view.depth_gt[above].any()
+    assert not view.region[above].any() and (view.material[10:54] != IGNORE).all()
+
+
+def test_a_placement_shows_its_centre_in_the_middle_and_scales_turns_and_mirrors():
+    for angle, mirror in ((0.0, False), (0.7, False), (np.pi / 2, True)):
+        matrix = placement((11, 21), (30.0, 50.0), 2.0, angle, mirror)
+        assert np.allclose(matrix @ [10, 5, 1], [50, 30], atol=1e-4)  # (x, y) of the view's middle
+        assert np.linalg.det(matrix[:, :2]) == pytest.approx(-4 if mirror else 4, rel=1e-5)
+    right = placement((11, 21), (30.0, 50.0), 2.0, np.pi / 2, False) @ [11, 5, 1]
+    assert np.allclose(right, [50, 32], atol=1e-4)  # a quarter turn: right becomes down
+
+
+def test_all_maps_of_a_view_move_together(scenes):
+    ramp = np.tile(np.arange(500, 564, dtype=np.uint16), (2, 48, 1))
+    grey = np.repeat((2 * (ramp - 500)).astype(np.uint8)[..., None], 3, axis=3)
+    marked = replace(scenes, depth=ramp, depth_gt=ramp, rgb=grey, material=(ramp % 3).astype(np.uint8))
+    for seed in range(6):
+        view = frame_view(marked, 0, (48, 64), rng(seed))
+        seen = view.depth > 0
+        assert np.array_equal(view.depth, view.depth_gt) and seen.mean() > 0.3
+        millimetres = np.rint(view.depth[seen] * 1000)
+        assert np.array_equal(view.material[seen], millimetres % 3)
+        assert np.abs(view.rgb[seen][:, 0] / 2 + 500 - millimetres).max() <= 1.5
+        assert (view.material[~seen] == IGNORE).all()
+
+
+def test_views_differ_and_repeat(scenes):
+    one, again, other = (frame_view(scenes, 0, (48, 64), rng(s)) for s in (3, 3, 4))
+    assert np.array_equal(one.rgb, again.rgb) and not np.array_equal(one.rgb, other.rgb)
+
+
+def test_a_window_holds_the_glass_at_its_middle(scenes):
+    for seed in range(20):
+        view = window_view(scenes, 0, (32, 32), rng(seed), mistaken=0.0)
+        assert view.rgb.shape == (32, 32, 3) and view.region.any()
+        rows, columns = np.nonzero(view.region)
+        assert abs(rows.mean() - 15.5) < 9 and abs(columns.mean() - 15.5) < 9
+        glass = (view.material == 1) | (view.material == 2)
+        assert (view.region | ~glass).mean() > 0.9  # shrunk by at most a pixel
+
+
+def test_a_mistaken_window_claims_what_is_opaque(scenes):
+    nothing = replace(scenes, material=np.zeros_like(scenes.material))
+    shares = []
+    for seed in range(20):
+        view = window_view(nothing, 0, (32, 32), rng(seed))
+        assert not ((view.material == 1) | (view.material == 2)).any()
+        shares.append(view.region.mean())
+    assert np.mean(np.array(shares) > 0) > 0.7 and np.mean(shares) < 0.8
+
+
+def test_a_false_claim_is_a_thing_or_a_patch(scenes):
+    drawn = [false_claim(scenes, 0, rng(k)) for k in range(40)]
+    cup = scenes.instances[0] == 2
+    things = np.mean([np.array_equal(d, cup) for d in drawn])
+    assert 0.5 < things < 0.9 and all(d.dtype == bool and d.shape == (48, 64) for d in drawn)
+    assert all(d.any() for d in drawn)
+
+
+# --- the mistakes of stage one ----------------------------------------------------------------------------------------
+
+
+def test_growing_adds_at_most_four_pixels_and_takes_at_most_one():
+    areas = set()
+    for seed in range(40):
+        out = grow(box(), rng(seed))
+        areas.add(int(out.sum()))
+    assert areas == {18 * 18, *((20 + 2 * k) ** 2 for k in range(5))}
+
+
+def test_blunders_miss_a_part_and_claim_too_much_but_stay_near():
+    true, far = box((80, 120)), np.zeros((80, 120), bool)
+    far[:] = True
+    far[10 - 14 : 30 + 14, 20 - 14 : 40 + 14] = False
+    far[:44, 6:54] = False
+    drawn = [blunder(true, rng(k)) for k in range(60)]
+    assert np.mean([(true & ~d).any() for d in drawn]) > 0.3
+    assert np.mean([(d & ~true).any() for d in drawn]) > 0.3
+    assert not any((d & far).any() for d in drawn) and not any(d.all() for d in drawn)
+
+
+# --- what cameras do to depth -----------------------------------------------------------------------------------------
+
+
+def plane(shape=(48, 64)):
+    return np.full(shape, 0.7, np.float32)
+
+
+def test_losing_takes_patches_up_to_half():
+    drawn = [lose(plane(), rng(k)) for k in range(60)]
+    shares = np.array([(d == 0).mean() for d in drawn])
+    assert 0.3 < (shares == 0).mean() < 0.75 and 0.2 < shares.max() <= 0.51
+    assert all(set(np.unique(d)) <= {np.float32(0), np.float32(0.7)} for d in drawn)
+    holes = drawn[int(shares.argmax())] == 0
+    assert (holes[:, 1:] != holes[:, :-1]).mean() < 0.15  # patches, not single pixels
+
+
+def test_spoiling_adds_few_readings_far_off():
+    before = plane()
+    for seed in range(20):
+        out = spoil(before, rng(seed))
+        changed = out != before
+        ratio = out[changed] / 0.7
+        assert 0 < changed.mean() < 0.02 and ((ratio >= 1.49) | (ratio <= 0.51)).all()
+    assert (before == plane()).all()
+    assert not spoil(np.zeros((8, 8), np.float32), rng()).any()
+
+
+def test_thinning_keeps_a_few_or_every_so_many_rows():
+    rows, shares = 0, []
+    for seed in range(40):
+        out = thin_out(plane((96, 128)), rng(seed))
+        filled = (out > 0).mean(axis=1)
+        rows += set(np.unique(filled)) == {0.0, 1.0}
+        shares.append((out > 0).mean())
+    assert 8 < rows < 32 and max(shares) <= 0.26 and min(shares) > 0
+
+
+def test_disturbing_leaves_the_truth_and_some_readings_alone(scenes):
+    view = frame_view(scenes, 0, (48, 64), None)
+    for seed in range(30):
+        out = disturb(view, rng(seed))
+        assert (out.depth > 0).sum() > 20
+        assert out.depth_gt is view.depth_gt and out.material is view.material and out.region is view.region
+    one, again = (disturb(view, rng(5)) for _ in range(2))
+    assert np.array_equal(one.rgb, again.rgb) and np.array_equal(one.depth, again.depth)
+
+
+def test_a_view_with_hardly_a_reading_is_not_thinned_out_of_all_of_them(scenes, monkeypatch):
+    view = frame_view(scenes, 0, (48, 64), None)
+    monkeypatch.setattr(views, "lose", lambda depth, rng: np.zeros_like(depth))
+    assert np.array_equal(disturb(view, rng()).depth, view.depth)
+
+
+def test_a_claim_is_cut_with_the_view(scenes):
+    claimed = np.zeros((48, 64), bool)
+    claimed[4:8, 50:60] = True
+    view = look(scenes, 0, placement((48, 64), (23.5, 31.5), 1.0, 0.0, True), (48, 64), claimed)
+    assert np.array_equal(view.region, ((scenes.material[0] > 0) | claimed)[:, ::-1])
