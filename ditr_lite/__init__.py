@@ -6,7 +6,7 @@ Everything is loaded on first use, so the import itself costs nothing: ``dl.load
     what everything stands on   units config camera files data store
     why depth is missing        loss_types: Type I and Type II, the paper's partition
     the way into a network      conditioning: depth to tensors and back, bounds, frames; windows
-    stage one                   encoder (pretrained, colour), region: network, loss, refinement
+    stage one                   region/: network, loss, refinement; its pretrained encoder of colour
     the guides                  boundary/: maps, truth, backends
     stage two                   autoencoder schedule diffusion unet detail; stage_two: all of it, in five steps
     the whole                   pipeline: Ditr, what it returns, how the branches are composed
@@ -24,7 +24,7 @@ __version__ = "0.1.0"
 
 # A file imports only from places that stand before its own in this list, or from its own room; rooms come last.
 MODULES = (
-    *("units", "config", "conditioning", "camera", "loss_types", "metrics", "windows", "encoder", "region"),
+    *("units", "config", "conditioning", "camera", "loss_types", "metrics", "windows", "region"),
     *("schedule", "autoencoder", "unet", "diffusion", "detail", "files", "data", "store", "boundary"),
     *("stage_two", "pipeline", "baselines"),
     *("datasets", "viz", "simulator", "training", "evaluation", "paper", "studies", "peers", "exercises", "cli"),

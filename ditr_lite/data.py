@@ -18,6 +18,7 @@ from .units import clean_depth, depth_to_png
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data_samples"
 SPLITS = ("train", "val", "test")
+ROOM_SPLITS = ("rooms_train", "rooms_val", "rooms")  # training, validation, test
 OPAQUE, TRANSPARENT, REFLECTIVE = 0, 1, 2  # values of Sample.material
 
 
@@ -131,13 +132,13 @@ def read_meta(folder: Path | str) -> tuple[Camera | None, Stereo | None, dict[st
 
 
 def list_samples(split: str = "test", root: Path | str | None = None) -> list[str]:
-    """Return the names of the shipped samples of one split (``train``, ``val`` or ``test``), sorted.
+    """Return the names of the shipped samples of one split (of ``SPLITS`` or ``ROOM_SPLITS``), sorted.
 
     Raises:
         ValueError: for an unknown split, or where there is no sample.
     """
-    if split not in SPLITS:
-        raise ValueError(f"unknown split {split!r}; choose one of {', '.join(SPLITS)}")
+    if split not in SPLITS + ROOM_SPLITS:
+        raise ValueError(f"unknown split {split!r}; choose one of {', '.join(SPLITS + ROOM_SPLITS)}")
     folder = Path(root or SAMPLES) / split
     names = sorted(p.parent.name for p in folder.glob("*/meta.json") if not p.parent.name.endswith(".part"))
     if not names:
@@ -151,7 +152,7 @@ def load_sample(name: str, root: Path | str | None = None) -> Sample:
     Raises:
         ValueError: for a name that no split holds.
     """
-    folder = Path(root or SAMPLES) / name.split("_")[0] / name
+    folder = Path(root or SAMPLES) / name.rpartition("_")[0] / name
     if not folder.is_dir():
         raise ValueError(f"no sample called {name!r}; see list_samples(split) for the names")
     return read_sample(folder)

@@ -108,11 +108,7 @@ class DetailNet(nn.Module):
         out = F.pixel_shuffle(self.out(x), 2)  # (B, 4 OUTPUTS, H/2, W/2) -> (B, OUTPUTS, H, W)
         residual, trust, *kernels = out.split([1, 2, *[9] * len(DILATIONS)], dim=1)
         start = trust.new_tensor([3.0, -1.0]).view(1, 2, 1, 1)  # at first readings outside are trusted, inside hardly
-        return (
-            residual,
-            torch.sigmoid(trust + start),
-            [k.softmax(dim=1) for k in kernels],
-        )  # at first readings are trusted
+        return residual, torch.sigmoid(trust + start), [k.softmax(dim=1) for k in kernels]
 
 
 def propagate(start: Tensor, readings: Tensor, trust: Tensor, affinities: list[Tensor]) -> Tensor:
@@ -158,10 +154,10 @@ def detail_input(
     """Return the (S, 9, H, W) input of :class:`DetailNet`, channels as in :data:`CHANNELS`.
 
     Args:
-        decoded: (S, 1, H, W) normalised depth out of the decoder, both branches composed.
+        decoded: (S, 1, H, W) normalised depth out of the decoder, of one branch.
         depth_n: (B, 1, H, W) normalised raw depth; like all that follow, B is S or 1.
         valid: (B, 1, H, W) 0/1, measured pixels.
-        region: (B, 1, H, W) 0/1, where the optical branch painted.
+        region: (B, 1, H, W) 0/1, what the optical branch paints.
         image: (B, 3, H, W) in [-1, 1].
         boundary: (B, 1, H, W) 0/1, M_RGB.
     """

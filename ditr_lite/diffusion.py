@@ -29,7 +29,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from .schedule import NoiseSchedule, check_prediction, check_timesteps, levels
+from .schedule import NoiseSchedule, check_prediction, check_steps, levels
 
 
 def q_sample(x0: Tensor, t: Tensor, eps: Tensor, schedule: NoiseSchedule) -> Tensor:
@@ -77,12 +77,6 @@ def x0_from_v(x_t: Tensor, t: Tensor, v: Tensor, schedule: NoiseSchedule) -> Ten
     """Turn (predicted) velocity into data: x0 = sqrt(abar_t) x_t - sqrt(1 - abar_t) v. No division, at any t."""
     signal, noise = levels(t, schedule, x_t=x_t, v=v)
     return signal * x_t - noise * v
-
-
-def eps_from_v(x_t: Tensor, t: Tensor, v: Tensor, schedule: NoiseSchedule) -> Tensor:
-    """Turn (predicted) velocity into noise: eps = sqrt(1 - abar_t) x_t + sqrt(abar_t) v."""
-    signal, noise = levels(t, schedule, x_t=x_t, v=v)
-    return noise * x_t + signal * v
 
 
 def to_x0(model_output: Tensor, x_t: Tensor, t: Tensor, schedule: NoiseSchedule, prediction: str) -> Tensor:
@@ -181,7 +175,7 @@ def ddim_step(
     if not 0 <= eta <= 1:
         raise ValueError(f"eta: expected a number in [0, 1], got {eta}")
     pred_eps = eps_from_x0(x_t, t, pred_x0, schedule)  # checks x_t, t and pred_x0
-    check_timesteps(t_prev, schedule.timesteps, lowest=-1)
+    check_steps(t_prev, schedule.timesteps, lowest=-1)
     if t_prev.shape != t.shape or not bool((t_prev < t).all()):
         raise ValueError("t_prev: expected one earlier step for each t; steps run from T - 1 down to -1 (clean)")
     abar, abar_prev = schedule.alpha_bar(t, x_t.ndim), schedule.alpha_bar(t_prev, x_t.ndim)  # (B, 1, ..., 1) float64

@@ -25,8 +25,7 @@ from .conditioning import (
 )
 from .config import Config, RefineConfig, StdConfig
 from .detail import DetailNet
-from .encoder import ColourEncoder
-from .region import RegionNet, refine_region
+from .region import ColourEncoder, RegionNet, refine_region
 from .schedule import make_schedule
 from .stage_two import BRANCHES, Painter, Plan, Views, paint
 from .store import load_parts
@@ -170,7 +169,7 @@ class Painting:
 
     Attributes:
         optical: painted in windows around the region; what the geometric branch painted elsewhere.
-        geometric: painted over the whole frame.
+        geometric: painted over the whole frame; holes at the level of the readings around them.
         optical_spread, geometric_spread: standard deviation over samples.
         windows: where the optical branch looked.
     """
@@ -355,14 +354,16 @@ class Ditr:
         small = tuple(frame.into(image) for image in (rgb, depth, region))
         views, bounds = self.look([small], plan.guides[1], False)
         mean, spread = self.paint(1, views, bounds, steps, samples, seed, plan)
-        geometric = tie(frame.back(mean[0]), depth, region)
+        own = frame.back(mean[0])
+        tied = tie(own, without_strays(depth), region)
+        geometric = np.where((depth > 0) & ~region, own, tied)  # readings are not echoed: adjust asks for the painting
         geometric_spread = frame.back(spread[0])
         optical, optical_spread = geometric.copy(), geometric_spread.copy()
         if not self.config.window:  # the paper's: the whole frame here, too
             views, bounds = self.look([small], plan.guides[0], False)
             mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
             return Painting(frame.back(mean[0]), geometric, frame.back(spread[0]), geometric_spread, ())
-        close = self.close_ups(rgb, depth, region)
+        close = self.close_ups(rgb, depth, region, geometric)
         if close:
             views, bounds = self.look([shown for *_, shown in close], plan.guides[0], True)
             mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
@@ -372,16 +373,20 @@ class Ditr:
         return Painting(optical, geometric, optical_spread, geometric_spread, tuple(window for window, *_ in close))
 
     def close_ups(
-        self, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray
+        self, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray, spare: np.ndarray
     ) -> list[tuple[Window, np.ndarray, Frame, tuple[np.ndarray, ...]]]:
         """Return the windows of a region: each with the (H, W) bool pixels it paints, its frame and what it shows.
 
-        What it shows are rgb, depth and region, as :meth:`inpaint` takes them, at the size that the networks see.
+        What it shows are rgb, depth and region, as :meth:`inpaint` takes them, at the size that the networks see. A
+        window far from all readings shows ``spare`` (H, W) metres, what the geometric branch painted, instead.
         """
         side, found = self.config.window, []
         for window, pixels in choose_windows(region):
             inner = fit((window.side, window.side), (side, side))
-            shown = tuple(inner.into(window.cut(image)) for image in (rgb, depth, region))
+            read = window.cut(depth)
+            if not read.any():
+                read = window.cut(spare)
+            shown = tuple(inner.into(image) for image in (window.cut(rgb), read, window.cut(region)))
             found.append((window, pixels, inner, shown))
         return found
 
@@ -389,7 +394,7 @@ class Ditr:
         """Turn pictures at network size into what a branch is given.
 
         Args:
-            pictures: rgb (h, w, 3) uint8, depth (h, w) metres and region (h, w) bool of each.
+            pictures: rgb (h, w, 3) uint8, depth (h, w) metres with a reading, and region (h, w) bool of each.
             guide: which boundary map guides the branch; None for an empty one.
             around: take the bounds of each from the readings outside its region alone.
 
@@ -399,8 +404,6 @@ class Ditr:
         rows, lows, highs = [], [], []
         for rgb, depth, region in pictures:
             depth = without_strays(depth)
-            if not depth.any():  # nothing was read in this window
-                depth = np.ones_like(depth)
             bounds = depth_bounds(depth, ~region if around else None)
             depth_n, valid = depth_tensors(depth, bounds)
             maps = boundary_maps(rgb, depth, self.backend)

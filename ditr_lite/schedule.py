@@ -108,7 +108,7 @@ class NoiseSchedule:
         Raises:
             ValueError: for a ``t`` of another shape, dtype or range.
         """
-        check_timesteps(t, self.timesteps, lowest=-1)
+        check_steps(t, self.timesteps, lowest=-1)
         clean_first = torch.cat([torch.ones(1, dtype=torch.float64), self.alphas_cumprod])  # (T + 1,), entry 0: t = -1
         return clean_first[t.cpu() + 1].view(-1, *[1] * (ndim - 1))
 
@@ -130,7 +130,7 @@ class NoiseSchedule:
         return alpha_bar.sqrt().to(like), (1 - alpha_bar).sqrt().to(like)
 
 
-def check_timesteps(t: Tensor, timesteps: int, lowest: int = 0) -> None:
+def check_steps(t: Tensor, timesteps: int, lowest: int = 0) -> None:
     """Check that ``t`` is (B,) long within [lowest, timesteps - 1].
 
     Raises:
@@ -152,7 +152,7 @@ def levels(t: Tensor, schedule: NoiseSchedule, **data: Tensor) -> tuple[Tensor, 
     Raises:
         ValueError: if they are not, or if ``t`` is not (B,) long in [0, T - 1].
     """
-    check_timesteps(t, schedule.timesteps)
+    check_steps(t, schedule.timesteps)
     first, ref = next(iter(data.items()))
     if ref.ndim < 1 or not ref.is_floating_point() or len(ref) != len(t):
         got = f"{ref.dtype} {tuple(ref.shape)}"

@@ -65,7 +65,7 @@ class Painter:
     Attributes:
         net: the denoiser, a ``unet.DenoisingUNet``.
         autoencoder: a ``autoencoder.VQAutoencoder``.
-        encoder: pretrained, an ``encoder.ColourEncoder``; None where the denoiser takes no colour features.
+        encoder: pretrained, a ``region.ColourEncoder``; None where the denoiser takes no colour features.
         detail: the finer final step, a ``detail.DetailNet``; None leaves it out (the paper).
         evidence: whether readings inside the region are shown.
     """

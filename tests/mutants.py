@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
+HELPER = "tests/made_scenes.py"  # imported by tests
 
 
 class Mutant(NamedTuple):
@@ -97,8 +98,6 @@ DIFFUSION = [
         ("v: levels swapped", "    return signal * eps - noise * x0", "    return noise * eps - signal * x0"),
         ("x0 of v: sign", "return signal * x_t - noise * v", "return signal * x_t + noise * v"),
         ("x0 of v: levels swapped", "return signal * x_t - noise * v", "return noise * x_t - signal * v"),
-        ("eps of v: sign", "return noise * x_t + signal * v", "return noise * x_t - signal * v"),
-        ("eps of v: noise level dropped", "return noise * x_t + signal * v", "return x_t + signal * v"),
         ("v read as eps", '"v": x0_from_v, "x0": lambda', '"v": x0_from_eps, "x0": lambda'),
     ),
     *family(
@@ -374,14 +373,14 @@ PARTITION = [
 REGION = [
     *family(
         "learning rates (S3)",
-        "training/region_training",
+        "training/as_the_paper",
         ("cosine: whole period", "math.cos(math.pi * p)", "math.cos(2 * math.pi * p)"),
         ("cosine: not halved", "(1 + math.cos(math.pi * p)) / 2", "(1 + math.cos(math.pi * p))"),
         ("exponential: rises", "math.exp(-fall * p)", "math.exp(fall * p)"),
         ("exponential: dropped", " * math.exp(-fall * p)", ""),
         ("TROSNet: sign of the fall", "0.001 - 0.0004 * fallen", "0.001 + 0.0004 * fallen"),
         ("TROSNet: period", "iteration / 228", "iteration / 150"),
-        ("unknown pixels scored", "batch.gt_known[:, 0] > 0", "batch.gt_known[:, 0] >= 0"),
+        ("deep supervision of nothing", "drawn.material, weight)", "0 * drawn.material, weight)"),
     ),
     *family(
         "soft region (S4)",
@@ -393,11 +392,17 @@ REGION = [
         ("straight-through: soft values", "return hard + (soft - soft.detach())", "return soft"),
         ("straight-through: no gradient", "return hard + (soft - soft.detach())", "return hard"),
         ("composition: parts swapped", "region * optical + (1 - region)", "(1 - region) * optical + region"),
-        ("composition: holes kept", "torch.where(valid > 0, depth_n, geometric)", "depth_n"),
-        ("RMSE: not in metres", "((depth_n - batch.gt_n) * batch.scale_m)", "(depth_n - batch.gt_n)"),
+        ("composition: holes kept", "torch.where(valid > 0, depth, geometric)", "depth"),
+        (
+            "composition: not in metres",
+            "readings = batch.bounds.denormalise(batch.depth_n)",
+            "readings = batch.depth_n",
+        ),
+        ("RMSE: not in metres", "(depth_m - batch.truth_m)", "(depth_m - batch.gt_n)"),
         ("RMSE: unknown truth scored", ".square() * batch.gt_known", ".square()"),
         ("weight dropped", "total = segmentation + rmse_weight * rmse", "total = segmentation + rmse"),
-        ("paintings not mirrored", "both.flip(3)", "both"),
+        ("painted for the found region alone", "torch.maximum(hard, batch.region)", "hard"),
+        ("branches swapped", "return drawn[0], drawn[1]", "return drawn[1], drawn[0]"),
     ),
     *family(
         "prices of mistakes",
@@ -420,24 +425,179 @@ REGION = [
     ),
 ]
 
-BOUNDARY = family(
-    "depth-aware map (I4)",
-    "boundary/maps",
-    ("as printed: no tolerance", "boundary_rgb & within(boundary_depth, tolerance)", "boundary_rgb & boundary_depth"),
-    ("the other map is grown", "boundary_rgb & within(boundary_depth,", "boundary_depth & within(boundary_rgb,"),
-    ("union for intersection", "return boundary_rgb & within(", "return boundary_rgb | within("),
-    ("distance: equal is too far", "distance <= tolerance + 1e-4", "distance < tolerance - 1e-4"),
-    ("distance: city blocks", "cv2.DIST_L2, cv2.DIST_MASK_PRECISE", "cv2.DIST_L1, 3"),
-    ("jump: signed", "(np.abs(z - y) > jump)", "(z - y > jump)"),
-    ("jump: within an object, too", "found = (a != b) & ", "found = "),
-    ("jump: unknown depth counts", " & (z > 0) & (y > 0) & ", " & "),
-    ("jump: background is marked", "return outline & jumps", "return jumps"),
-    ("precision: of the true pixels", "float(right / pred.sum())", "float(right / true.sum())"),
-    ("recall: counts predictions", "float(hit / true.sum())", "float(right / true.sum())"),
-    ("F: not harmonic", "float(2 * precision * recall / (precision + recall))", "(precision + recall) / 2"),
-)
+BOUNDARY = [
+    *family(
+        "depth-aware map (I4)",
+        "boundary/maps",
+        (
+            "as printed: no tolerance",
+            "boundary_rgb & within(boundary_depth, tolerance)",
+            "boundary_rgb & boundary_depth",
+        ),
+        ("the other map is grown", "boundary_rgb & within(boundary_depth,", "boundary_depth & within(boundary_rgb,"),
+        ("union for intersection", "return boundary_rgb & within(", "return boundary_rgb | within("),
+        ("distance: equal is too far", "distance <= tolerance + 1e-4", "distance < tolerance - 1e-4"),
+        ("distance: city blocks", "cv2.DIST_L2, cv2.DIST_MASK_PRECISE", "cv2.DIST_L1, 3"),
+    ),
+    *family(
+        "true outlines",
+        "boundary/truth",
+        (
+            "jump: signed",
+            "np.abs(depth_gt[first] - depth_gt[second]) > jump",
+            "depth_gt[first] - depth_gt[second] > jump",
+        ),
+        ("jump: within an object, too", "found = differ & known", "found = known"),
+        ("jump: unknown depth counts", "differ & known & apart", "differ & apart"),
+        ("jump: background is marked", "return outline & jumps", "return jumps"),
+        ("precision: of the true pixels", "float(right / pred.sum())", "float(right / true.sum())"),
+        ("recall: counts predictions", "float(hit / true.sum())", "float(right / true.sum())"),
+        ("F: not harmonic", "float(2 * precision * recall / (precision + recall))", "(precision + recall) / 2"),
+    ),
+]
 
-MUTANTS: list[Mutant] = [*SCHEDULE, *DIFFUSION, *AUTOENCODER, *ATTENTION, *METRICS, *PARTITION, *REGION, *BOUNDARY]
+FRAMES = [
+    *family(
+        "bounds",
+        "conditioning",
+        ("not logarithmic", "u = (xp.log(xp.where(positive, depth_m, 1.0))", "u = (xp.where(positive, depth_m, 1.0)"),
+        ("middle: of the bounds' sum", "- (low + high) / 2) * (2", "- (low + high)) * (2"),
+        ("not compressed beyond", "beyond = xp.sign(u) * (1 + xp.log(xp.where(size > 1, size, 1.0)))", "beyond = u"),
+        ("compressed: a jump", "xp.sign(u) * (1 + xp.log", "xp.sign(u) * (2 + xp.log"),
+        ("compressed: sign lost", "beyond = xp.sign(u) * (1 +", "beyond = (1 +"),
+        ("inverse: not expanded", "xp.where(size > 1, size, 1.0) - 1)", "xp.where(size > 1, size, 1.0) * 0)"),
+        (
+            "missing is far",
+            "return xp.where(positive, xp.where(size > 1, beyond, u), 0.0)",
+            "return xp.where(size > 1, beyond, u)",
+        ),
+        ("middle: a mean", "middle = float(np.median(logs))", "middle = float(np.mean(logs))"),
+        ("half range: a deviation", "np.median(np.abs(logs - middle))", "np.max(np.abs(logs - middle))"),
+        ("no least range", "min(max(half, SPREADS[0]), SPREADS[1])", "min(half, SPREADS[1])"),
+        ("no largest range", "min(max(half, SPREADS[0]), SPREADS[1])", "max(half, SPREADS[0])"),
+        ("not wider downwards", "middle - 1.25 * half", "middle - half"),
+        (
+            "taken from all pixels",
+            "if about is None else depth[about & (depth > 0)]",
+            "if about is None else depth[depth > 0]",
+        ),
+    ),
+    *family(
+        "readings",
+        "conditioning",
+        ("not pooled", "            pool_readings(small, image)\n", "            pass\n"),
+        ("pooled: the farthest from the centre", "order = np.argsort(-away", "order = np.argsort(away"),
+        ("pooled: over readings", "(image > 0) & (small == 0)[", "(image > 0) & (small >= 0)["),
+        ("strays: all alike", "alike - 1 < 0.2 * read", "alike - 1 < 0 * read"),
+        ("strays: judged by few", "valid & enough & (alike", "valid & (alike"),
+        ("strays: a surface's edge", "alike - 1 < 0.2 * read", "alike - 1 < 0.8 * read"),
+        ("tie: by differences", "painted * np.exp(fill(", "painted + np.exp(fill("),
+        (
+            "tie: upside down",
+            "np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0))",
+            "np.log(np.where(known, painted, 1.0) / np.where(known, depth, 1.0))",
+        ),
+        ("tie: to the region, too", "known = (depth > 0) & ~region\n", "known = depth > 0\n"),
+        (
+            "evidence: a reading alone",
+            "offset = (fill(depth_n, known + seen) - filled)",
+            "offset = (seen * depth_n - filled)",
+        ),
+        ("evidence: always shown", "seen = valid * region * float(evidence)", "seen = valid * region"),
+        ("region counts as known", "known = valid * (1 - region)", "known = valid"),
+    ),
+    *family(
+        "windows",
+        "windows",
+        ("as tight as the thing", "side = max(MARGIN * max(", "side = max(1.0 * max("),
+        ("no least side", ", LEAST * longest)", ", 1)"),
+        ("not moved into the frame", "first = min(max(first, 0), length - side)", "first = first + 0"),
+        ("larger than the frame: not centred", "first = (length - side) // 2", "first = 0"),
+        (
+            "rows and columns swapped",
+            "return Window(corner[0], corner[1], side)",
+            "return Window(corner[1], corner[0], side)",
+        ),
+        ("outside is not empty", "            out[outside_rows] = 0\n", ""),
+        ("pasted everywhere", "inner, where=where[y0:y1, x0:x1])", "inner)"),
+        ("pasted: shifted", "part[y0 - self.top : y1 - self.top,", "part[: y1 - y0,"),
+        ("a window for each blob", "full=len(boxes) >= most)", "full=False)"),
+        ("never shared", "        if fits:\n", "        if fits and full:\n"),
+        ("farthest window grows", "np.argmin(np.linalg.norm", "np.argmax(np.linalg.norm"),
+        (
+            "a shared window does not grow",
+            "            members[home].append(blob)",
+            "            members[home] = [blob]",
+        ),
+    ),
+    *family(
+        "encoder",
+        "region/encoder",
+        (
+            "padding: symmetric",
+            "(total // 2, total - total // 2) * 2 if stride > 1",
+            "(total - total // 2, total // 2) * 2 if stride > 1",
+        ),
+        (
+            "fold: variance not rooted",
+            'torch.sqrt(state[f"{norm}.running_var"] + eps)',
+            '(state[f"{norm}.running_var"] + eps)',
+        ),
+        ("fold: mean added", '- state[f"{norm}.running_mean"] * scale', '+ state[f"{norm}.running_mean"] * scale'),
+        ("fold: mean not scaled", 'state[f"{norm}.running_mean"] * scale', 'state[f"{norm}.running_mean"]'),
+        ("input not added", "return x + h if self.residual else h", "return h"),
+        (
+            "narrowed with a bend",
+            "h = self.project(F.relu6(self.depthwise(h)))",
+            "h = F.relu6(self.project(F.relu6(self.depthwise(h))))",
+        ),
+        ("stage of stride 16 taken early", "outputs[2], outputs[4]]", "outputs[2], outputs[3]]"),
+    ),
+    *family(
+        "stage two",
+        "stage_two",
+        ("guides swapped (S8)", "= (M_DA, M_RGB)", "= (M_RGB, M_DA)"),
+        ("painters swapped", 'BRANCHES = ("optical", "geometric")', 'BRANCHES = ("geometric", "optical")'),
+        (
+            "guided by the final step's map",
+            "views.region, views.guide, painter.evidence",
+            "views.region, views.boundary, painter.evidence",
+        ),
+        ("evidence always", "views.guide, painter.evidence", "views.guide, True"),
+        ("not sharpened", "if painter.detail is not None:", "if painter.detail is None:"),
+        ("colour features at the wrong strides", "painter.encoder(_cl(rgb))[1:]", "painter.encoder(_cl(rgb))[:3]"),
+        (
+            "samples and views mixed",
+            "mean = decoded.unflatten(0, (-1, count)).mean(dim=0)",
+            "mean = decoded.unflatten(0, (count, -1)).mean(dim=1)",
+        ),
+        (
+            "every sample the same noise",
+            "noise = torch.randn(masked.shape, generator=generator)",
+            "noise = torch.randn(masked.shape, generator=generator)[:1].expand(masked.shape)",
+        ),
+    ),
+    *family(
+        "readings held (detail)",
+        "detail",
+        ("readings inside thrown away", "trust.new_tensor([3.0, -1.0])", "trust.new_tensor([3.0, -30.0])"),
+        ("readings inside trusted as those outside", "trust.new_tensor([3.0, -1.0])", "trust.new_tensor([3.0, 3.0])"),
+        ("trusts swapped", "(x[:, 2:4] * trust)", "(x[:, 2:4] * trust.flip(1))"),
+        ("trust: the other way", "+ trust * (readings - spread[:, None])", "- trust * (readings - spread[:, None])"),
+    ),
+]
+
+MUTANTS: list[Mutant] = [
+    *SCHEDULE,
+    *DIFFUSION,
+    *AUTOENCODER,
+    *ATTENTION,
+    *METRICS,
+    *PARTITION,
+    *REGION,
+    *BOUNDARY,
+    *FRAMES,
+]
 
 
 def mutate(source: str, mutant: Mutant) -> str:
@@ -462,7 +622,7 @@ def run_tests(mutant: Mutant | None, tests: Sequence[str]) -> tuple[int, str, fl
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
         shutil.copytree(ROOT / "ditr_lite", copy / "ditr_lite", ignore=shutil.ignore_patterns("weights", "__pycache__"))
-        for test in tests:
+        for test in (*tests, HELPER):
             (copy / test).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / test, copy / test)
         if mutant is not None:
@@ -482,7 +642,8 @@ def run_tests(mutant: Mutant | None, tests: Sequence[str]) -> tuple[int, str, fl
             "not diffusers and not rendered",
         ]
         command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=line", *plain, *tests]
-        environment = {**os.environ, "PYTHONPATH": folder, "PYTHONDONTWRITEBYTECODE": "1"}
+        paths = os.pathsep.join((folder, str(copy / "tests")))
+        environment = {**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"}
         result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     failed = re.search(r"^(?:FAILED|ERROR) \S+?::(\S+)", result.stdout, flags=re.MULTILINE)
     reason = failed[1] if failed else result.stdout.strip().splitlines()[-1:] or result.stderr[-200:]

@@ -4,7 +4,21 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ditr_lite.conditioning import CHANNELS, MIN_SPAN_M, Bounds, condition, depth_bounds, fill, fit, to_tensor
+from ditr_lite.conditioning import (
+    CHANNELS,
+    SPREADS,
+    Bounds,
+    condition,
+    depth_bounds,
+    depth_tensors,
+    fill,
+    fit,
+    pool_readings,
+    strays,
+    tie,
+    to_tensor,
+    without_strays,
+)
 
 SIZES = st.tuples(st.integers(1, 300), st.integers(1, 300))
 
@@ -12,10 +26,18 @@ SIZES = st.tuples(st.integers(1, 300), st.integers(1, 300))
 # --- bounds -----------------------------------------------------------------------------------------------------------
 
 
-def test_bounds_of_known_quantiles():
-    depth = np.linspace(1, 2, 101).reshape(1, -1).astype(np.float32)  # 2nd and 98th percentile: 1.02 and 1.98
+def table(seed=0, shape=(48, 64)):
+    """A table that slopes away from 0.5 to 0.9 m, with noise and a fifth of its readings missing."""
+    rng = np.random.default_rng(seed)
+    depth = np.linspace(0.9, 0.5, shape[0])[:, None] + 0.002 * rng.standard_normal(shape)
+    return np.where(rng.random(shape) < 0.2, 0, depth).astype(np.float32)
+
+
+def test_bounds_of_known_logarithms():
+    depth = np.exp(np.linspace(-0.2, 0.2, 101)).reshape(1, -1)  # median 0, median absolute deviation 0.1
     bounds = depth_bounds(depth)
-    assert (bounds.low, bounds.high) == (pytest.approx(1.02 - 0.25 * 0.96), pytest.approx(1.98 + 0.10 * 0.96))
+    assert np.log(bounds.high) == pytest.approx(0.25, rel=1e-3)
+    assert np.log(bounds.low) == pytest.approx(-1.25 * 0.25, rel=1e-3)
 
 
 def test_missing_pixels_do_not_move_the_bounds():
@@ -23,16 +45,80 @@ def test_missing_pixels_do_not_move_the_bounds():
     assert depth_bounds(np.r_[depth, np.zeros(500, np.float32)]) == depth_bounds(depth)
 
 
-def test_a_flat_wall_gets_a_range_around_it():
-    bounds = depth_bounds(np.full((4, 4), 0.7, np.float32))
-    assert bounds.low < 0.7 < bounds.high and bounds.high - bounds.low == pytest.approx(1.35 * MIN_SPAN_M)
+def test_a_flat_wall_and_a_whole_street_get_ranges_that_can_be_painted_in():
+    wall = depth_bounds(np.full((4, 4), 0.7, np.float32))
+    assert wall.low < 0.7 < wall.high and np.log(wall.high / wall.low) == pytest.approx(2.25 * SPREADS[0])
+    street = depth_bounds(np.geomspace(0.1, 60, 100).reshape(1, -1))
+    assert np.log(street.high / street.low) == pytest.approx(2.25 * SPREADS[1])
 
 
-@given(st.floats(0.1, 5), st.floats(0.15, 5), st.floats(0, 70))
-def test_normalising_is_affine_and_invertible(low, span, depth):
-    bounds = Bounds(low, low + span)
-    assert bounds.normalise(low) == pytest.approx(-1) and bounds.normalise(low + span) == pytest.approx(1)
-    assert bounds.denormalise(bounds.normalise(depth)) == pytest.approx(depth, abs=1e-6)
+@settings(deadline=None)
+@given(st.floats(0.1, 20), st.floats(1.2, 5), st.floats(0.02, 60))
+def test_normalising_is_invertible(low, ratio, depth):
+    bounds = Bounds(low, low * ratio)
+    assert bounds.normalise(low) == pytest.approx(-1) and bounds.normalise(low * ratio) == pytest.approx(1)
+    assert bounds.denormalise(bounds.normalise(depth)) == pytest.approx(depth, rel=1e-6)
+    tensors = Bounds(*(torch.tensor(v, dtype=torch.float64).view(1, 1, 1, 1) for v in (low, low * ratio)))
+    x = torch.full((1, 1, 2, 2), depth, dtype=torch.float64)
+    assert torch.allclose(tensors.normalise(x), torch.tensor(float(bounds.normalise(depth)), dtype=torch.float64))
+    assert torch.allclose(tensors.denormalise(tensors.normalise(x)), x)
+
+
+@settings(deadline=None)
+@given(st.floats(0.1, 20), st.floats(1.2, 5), st.floats(0.02, 60), st.floats(1.001, 3))
+def test_normalising_keeps_the_order_and_is_steepest_between_the_bounds(low, ratio, depth, more):
+    bounds = Bounds(low, low * ratio)
+    step = bounds.normalise(depth * more) - bounds.normalise(depth)
+    inside = np.log(more) / (np.log(ratio) / 2)
+    assert 0 < step <= inside * (1 + 1e-6)
+    if low <= depth and depth * more <= low * ratio:
+        assert step == pytest.approx(inside, rel=1e-5)
+
+
+def test_beyond_the_bounds_it_is_compressed_once_more_without_a_kink():
+    bounds = Bounds(1 / np.e, np.e)  # middle 1 m, half range 1
+    assert bounds.normalise(np.exp(3.0)) == pytest.approx(1 + np.log(3))
+    assert bounds.normalise(np.exp(-3.0)) == pytest.approx(-1 - np.log(3))
+    before, after = (bounds.normalise(np.exp(1 + e)) for e in (-1e-4, 1e-4))
+    assert after - before == pytest.approx(2e-4, rel=1e-3)
+
+
+def test_what_is_missing_is_zero_in_network_units():
+    assert Bounds(2.0, 3.0).normalise(np.float32([0, 2.5]))[0] == 0
+    assert Bounds(2.0, 3.0).normalise(torch.tensor([0.0, 2.5]))[0] == 0
+    depth_n, valid = depth_tensors(np.float32([[0, 2.0]]), Bounds(2.0, 3.0))
+    assert depth_n.tolist() == [[[[0, -1]]]] and valid.tolist() == [[[[0, 1]]]]
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.floats(0.2, 30))
+def test_distance_is_no_matter(scale):
+    depth = table()
+    far = (depth * scale).astype(np.float32)
+    one, other = (depth_bounds(d).normalise(d) for d in (depth, far))
+    assert np.abs(one - other).max() < 1e-3
+
+
+@pytest.mark.parametrize("far", [0.05, 2.5, 60.0])
+def test_a_minority_of_strays_or_a_room_moves_the_bounds_by_little(far):
+    depth = table()
+    spoilt = depth.copy()
+    spoilt.ravel()[::50] = far  # 2 per cent strays
+    room = depth.copy()
+    room[:6] = far  # an eighth of the picture
+    bounds = depth_bounds(depth)
+    half = np.log(bounds.high / bounds.low) / 2
+    for other, limit in ((depth_bounds(spoilt), 0.1), (depth_bounds(room), 0.4)):
+        assert abs(np.log(other.low / bounds.low)) < limit * half
+        assert abs(np.log(other.high / bounds.high)) < limit * half
+
+
+def test_bounds_are_about_the_pixels_asked_for_where_they_were_read():
+    depth = table()
+    about = np.zeros(depth.shape, bool)
+    about[:10] = True
+    assert depth_bounds(depth, about) == depth_bounds(depth[:10])
+    assert depth_bounds(np.where(about, 0, depth), about) == depth_bounds(depth[10:])
 
 
 def test_depth_without_a_reading_is_refused():
@@ -64,6 +150,35 @@ def test_depth_is_never_averaged_and_missing_stays_missing():
     assert frame.into(np.full((120, 170, 3), 9, np.uint8)).shape == (64, 96, 3)
 
 
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**6), st.integers(1, 60))
+def test_sparse_readings_survive_the_way_into_the_working_size(seed, count):
+    rng = np.random.default_rng(seed)
+    depth = np.zeros((240, 320), np.float32)
+    at = rng.integers(0, 240, count), rng.integers(0, 320, count)
+    depth[at] = rng.uniform(0.3, 3, count)
+    frame = fit(depth.shape, (64, 96))
+    small = frame.into(depth)
+    for y, x in zip(*at, strict=True):
+        assert small[int((y + 0.5) * frame.height / 240), int((x + 0.5) * frame.width / 320)] > 0
+    assert (small > 0).sum() <= 4 * count
+    assert set(small[small > 0]) <= set(depth[depth > 0])
+
+
+def test_scan_lines_survive_and_the_reading_closest_to_the_centre_counts():
+    lines = np.zeros((240, 320), np.float32)
+    lines[3::11] = 1.5
+    assert (fit(lines.shape, (64, 96)).into(lines) > 0).sum() > 20 * 80
+    image, small = np.zeros((8, 8), np.float32), np.zeros((2, 2), np.float32)
+    image[0, 0], image[1, 2], image[7, 7] = 1.0, 2.0, 3.0
+    small[1, 0] = 9.0
+    pool_readings(small, image)
+    assert small.tolist() == [[2, 0], [9, 3]]
+    same = np.zeros((8, 8), np.float32)
+    pool_readings(same, image)
+    assert not same.any()  # nothing was made smaller
+
+
 def test_way_back_is_smooth_on_surfaces_and_sharp_at_jumps():
     ramp = np.tile(np.linspace(1, 1.2, 96, dtype=np.float32), (64, 1))
     frame = fit((128, 192), (64, 96))
@@ -92,6 +207,67 @@ def test_what_is_found_on_the_picture_never_sees_its_padding():
     assert seen == [((72, 128, 3), (72, 128))]
     assert found[:72].all() and not found[72:].any() and found.dtype == bool
     assert (scaled[:72] == 2).all() and not scaled[72:].any()
+
+
+# --- strays -----------------------------------------------------------------------------------------------------------
+
+
+def test_specks_far_from_their_surroundings_are_strays_and_surfaces_are_not():
+    depth = table()
+    assert not strays(depth).any()
+    spoilt = depth.copy()
+    for y, x, far in ((5, 5, 9.0), (20, 30, 0.2), (47, 63, 3.0)):
+        spoilt[y, x] = far
+    spoilt[30:32, 40:42] = 4.0
+    found = strays(spoilt)
+    assert found[[5, 20, 30, 31], [5, 30, 40, 41]].all() and (found <= (spoilt != depth)).all()
+    step = np.where(np.arange(64) < 32, np.float32(0.6), np.float32(3.0)) * np.ones((48, 1), np.float32)
+    step[:, 20:23] = 0.4  # a rod
+    assert not strays(step).any()
+
+
+def test_sparse_readings_cannot_be_judged():
+    depth = np.zeros((40, 40), np.float32)
+    depth[::4, ::4] = np.random.default_rng(0).uniform(0.3, 9, (10, 10))
+    assert not strays(depth).any()
+
+
+def test_networks_see_depth_without_strays_unless_there_is_nothing_else():
+    depth = table()
+    depth[10, 10] = 30.0
+    seen = without_strays(depth)
+    assert seen[10, 10] == 0 and np.array_equal(np.delete(seen.ravel(), 650), np.delete(depth.ravel(), 650))
+    noise = np.random.default_rng(0).permutation(np.geomspace(0.01, 60, 400)).reshape(20, 20).astype(np.float32)
+    assert without_strays(noise).any()
+
+
+# --- tie --------------------------------------------------------------------------------------------------------------
+
+
+def test_a_tied_painting_is_the_readings_where_they_count():
+    depth = table()
+    region = np.zeros(depth.shape, bool)
+    region[10:20, 10:20] = True
+    painted = np.random.default_rng(1).uniform(0.3, 1.2, depth.shape).astype(np.float32)
+    tied = tie(painted, depth, region)
+    known = (depth > 0) & ~region
+    assert np.allclose(tied[known], depth[known], rtol=1e-5) and tied.dtype == np.float32 and (tied > 0).all()
+    assert np.array_equal(tied, tie(painted, np.where(region, 5, depth).astype(np.float32), region))
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.floats(0.5, 2))
+def test_a_painting_that_is_off_by_a_ratio_is_put_right(ratio):
+    depth = np.where(table() > 0, table(), 0)
+    whole = np.linspace(0.9, 0.5, 48)[:, None] * np.ones((1, 64))
+    depth = np.where(depth > 0, whole, 0).astype(np.float32)
+    tied = tie((ratio * whole).astype(np.float32), depth, np.zeros(depth.shape, bool))
+    assert np.allclose(tied, whole, rtol=1e-4)
+
+
+def test_without_a_reading_a_painting_stays():
+    painted = table() + 0.5
+    assert np.array_equal(tie(painted, 0 * painted, np.zeros(painted.shape, bool)), painted)
 
 
 # --- fill -------------------------------------------------------------------------------------------------------------
@@ -151,7 +327,7 @@ def test_channels_are_where_their_names_say():
     assert torch.equal(named["filled"], filled) and torch.equal(filled, fill(depth, known))
     assert torch.equal(named["known"], known) and torch.equal(named["region"], region)
     assert torch.equal(named["trusted"], valid * region)
-    assert torch.equal(named["evidence"], (depth - filled) * valid * region)
+    assert torch.equal(named["evidence"], (fill(depth, valid) - filled).clamp(-2, 2))  # dense
     assert share.shape == (2, 1, 4, 6) and torch.allclose(share[0, 0, 1, 2], known[0, 0, 4:8, 8:12].mean())
 
 

@@ -37,6 +37,7 @@ def test_what_the_paper_states_is_the_default():
     paper = config.preset("paper")
     assert paper.unet.block == "plain" and paper.unet.query == "feature"
     assert paper.sampler.steps == 1000 and not paper.evidence
+    assert paper.window == 0 and paper.unet.colour_channels == () and paper.region.colour == "scratch"
 
 
 def test_unknown_preset_lists_the_known():
@@ -108,6 +109,9 @@ def test_settings_that_are_right_only_together_are_taken_in_any_order():
         ({"sampler.steps": 0}, "sampler: expected at least 1, got steps 0"),
         ({"sampler.prediction": "v"}, "'v' needs unet.anchor=false"),
         ({"std.base": "0.1"}, "each of 2 branches"),
+        ({"window": 100}, "window: expected 0 or a multiple of 32, got 100"),
+        ({"refine.threshold": 1.0}, "a threshold between 0 and 1"),
+        ({"refine.temperature": 0.0}, "a temperature above 0"),
     ],
 )
 def test_override_refuses(settings, message):

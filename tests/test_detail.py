@@ -11,19 +11,37 @@ def build():
     torch.manual_seed(0)
     net = DetailNet(preset("tiny").detail)
     torch.nn.init.normal_(net.out.weight, std=0.1)
-    return net, torch.randn(2, 8, 64, 96)
+    return net, torch.randn(2, len(CHANNELS), 64, 96)
 
 
 def test_untrained_network_smooths_and_holds_readings():
-    net, x = DetailNet(DetailConfig(8)), torch.randn(1, 8, 32, 40)
-    x[:, 2] = 0
+    net, x = DetailNet(DetailConfig(8)), torch.randn(1, len(CHANNELS), 32, 40)
+    x[:, 2:4] = 0
     out, smooth = net(x), x[:, :1]
     for dilation in DILATIONS:
         for _ in range(ROUNDS):
             smooth = sum(neighbours(smooth, dilation))[:, None] / 9
     assert torch.allclose(out, smooth, atol=1e-5)
     x[:, 1], x[:, 2] = 5.0, 1.0
-    assert bool((net(x) > 4.5).all())  # at first a reading outweighs what flows in by twenty to one
+    outside = net(x)
+    assert bool((outside > 4.5).all())  # at first a reading outweighs what flows in by twenty to one
+    x[:, 2], x[:, 3] = 0.0, 1.0
+    inside = net(x)  # and one inside the region is trusted less, but not thrown away
+    assert bool((inside < outside).all()) and bool((inside > smooth).all())
+
+
+def test_trust_inside_the_region_is_learnt_apart_from_that_outside():
+    net, x = build()
+    trust = net.predict(x)[1]
+    assert trust.shape == (2, 2, 64, 96) and bool((trust > 0).all()) and bool((trust < 1).all())
+    x[:, 1], x[:, 2:4] = 5.0, 0.0
+    none = net(x)
+    for channel in (2, 3):
+        held = x.clone()
+        held[:, channel] = 1
+        residual, trusts, affinities = net.predict(held)
+        wanted = propagate(held[:, :1] + residual, held[:, 1:2], trusts[:, channel - 2 : channel - 1], affinities)
+        assert torch.allclose(net(held), wanted) and not torch.allclose(wanted, none)
 
 
 def test_shape_and_gradient_to_every_parameter():
@@ -106,7 +124,7 @@ def test_fine_detail_passes_by_the_skips():
 def test_lite_meets_its_budget():
     with torch.device("meta"):
         net = DetailNet(preset("lite").detail)
-        assert count_flops(net, torch.zeros(1, 8, 192, 256)) <= 1.4e9
+        assert count_flops(net, torch.zeros(1, len(CHANNELS), 192, 256)) <= 1.4e9
     assert sum(p.numel() for p in net.parameters()) < 0.3e6
 
 

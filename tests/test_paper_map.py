@@ -9,8 +9,8 @@ from test_notebooks import READING_ORDER
 
 ROOT = Path(__file__).resolve().parents[1]
 ENTRIES = paper_map.entries()
-# What the paper has, counted in the paper and not taken from the map.
-COUNTS = {"Eq. ": 9, "I": 4, "S": 9, "T": 6, "A": 2, "F": 13, "C": 11}
+# What the paper has, counted in the paper and not taken from the map; N counts what we add to it.
+COUNTS = {"Eq. ": 9, "I": 4, "S": 9, "T": 6, "A": 2, "F": 13, "C": 11, "N": 3}
 REQUIRED = [f"{kind}{n}" for kind, count in COUNTS.items() for n in range(1, count + 1)]
 GOOD = next(entry for entry in ENTRIES if entry.id == "Eq. 7")
 
@@ -19,10 +19,10 @@ def test_no_part_of_the_paper_is_missing_or_twice():
     assert [entry.id for entry in ENTRIES] == REQUIRED
 
 
-@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.id)
-def test_entry_is_what_it_says(entry):
-    assert paper_map.problems(entry, ROOT) == []
-    assert entry.paper and (entry.notebook in READING_ORDER or entry.status == "left out")
+def test_every_entry_is_what_it_says():
+    assert [problem for entry in ENTRIES for problem in paper_map.problems(entry, ROOT)] == []
+    for entry in ENTRIES:
+        assert entry.paper and (entry.notebook in READING_ORDER or entry.status == "left out"), entry.id
 
 
 def test_the_page_is_the_current_one():

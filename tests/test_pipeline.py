@@ -2,12 +2,13 @@ import numpy as np
 import pytest
 import torch
 
-from ditr_lite.conditioning import depth_bounds
-from ditr_lite.config import override, preset
-from ditr_lite.data import SAMPLES, read_sample
-from ditr_lite.pipeline import BRANCHES, Ditr, build, compose
+from ditr_lite.conditioning import tie
+from ditr_lite.config import RefineConfig, override, preset
+from ditr_lite.pipeline import Ditr, Painting, build, compose
 from ditr_lite.region import refine_region
+from ditr_lite.stage_two import BRANCHES, Plan
 from ditr_lite.store import load_parts, save_part
+from ditr_lite.windows import MOST
 
 TINY = override(preset("tiny"), **{"sampler.steps": 2, "sampler.samples": 1})
 
@@ -25,11 +26,6 @@ def untrained(config=TINY, seed=0):
 @pytest.fixture(scope="module")
 def ditr():
     return Ditr(untrained(), TINY)
-
-
-@pytest.fixture(scope="module")
-def sample():
-    return read_sample(SAMPLES / "val" / "val_00000")
 
 
 def frame(height, width, seed=0):
@@ -50,7 +46,7 @@ def same_bits(a, b):
 # --- what comes back --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [(64, 96), (100, 37), (33, 200), (720, 1280)])
+@pytest.mark.parametrize("size", [(64, 96), (100, 37), (50, 1000), (480, 640)])
 @pytest.mark.parametrize("given", [True, False])
 def test_any_size_comes_back_dense_and_with_its_readings(ditr, size, given):
     rgb, depth, region = frame(*size)
@@ -120,22 +116,24 @@ def test_spread_is_that_of_the_samples(ditr):
     assert (many.std[painted] > 0).mean() > 0.95 and (many.std[~painted] == 0).all()
 
 
-def test_spread_of_two_samples_is_their_distance_over_root_two(ditr, monkeypatch):
-    rgb, depth, region = frame(64, 96)
-    two = np.stack([np.full((64, 96), 0.5), np.full((64, 96), 0.7)]).astype(np.float32)
-    monkeypatch.setattr(ditr, "inpaint", lambda *a: (two, two + 1))
-    out = ditr(rgb, depth, region, samples=2)
-    assert np.allclose(out.depth[region], 0.6) and np.allclose(out.depth[~region & (depth == 0)], 1.6)
-    assert np.allclose(out.std[region], 0.2 / np.sqrt(2)) and (out.std[~region & (depth > 0)] == 0).all()
-
-
 def test_spread_is_the_standard_deviation_of_what_was_drawn(ditr, monkeypatch):
+    drawn = torch.from_numpy(np.random.default_rng(0).uniform(-1, 1, (5, 1, 1, 64, 96)).astype(np.float32))
+    monkeypatch.setattr("ditr_lite.pipeline.paint", lambda *a: drawn)
+    views, bounds = ditr.look([frame(64, 96)], None, False)
+    mean, spread = ditr.paint(1, views, bounds, 1, 5, 0, Plan())
+    metres = bounds.denormalise(drawn)[:, :, 0].numpy()
+    assert np.allclose(mean, metres.mean(0), rtol=1e-5) and np.allclose(spread, metres.std(0, ddof=1), rtol=1e-4)
+    assert not ditr.paint(1, views, bounds, 1, 1, 0, Plan())[1].any()  # of one sample there is none
+
+
+def test_what_is_composed_is_as_sure_as_the_painting_says(ditr, monkeypatch):
     rgb, depth, region = frame(64, 96)
-    drawn = np.random.default_rng(0).uniform(0.5, 1, (2, 5, 64, 96)).astype(np.float32)
-    monkeypatch.setattr(ditr, "inpaint", lambda *a: tuple(drawn))
-    std = ditr(rgb, depth, region, samples=5).std
-    expected = np.where(region, *drawn.std(1, ddof=1, dtype=np.float64))
-    assert std.dtype == np.float32 and np.allclose(std, np.where(region | (depth == 0), expected, 0), rtol=1e-5)
+    maps = [np.full((64, 96), v, np.float32) for v in (0.6, 1.6, 0.02, 0.04)]
+    monkeypatch.setattr(ditr, "inpaint", lambda *a: Painting(*maps, ()))
+    out = ditr(rgb, depth, region, samples=2)
+    holes, kept = ~region & (depth == 0), ~region & (depth > 0)
+    assert np.allclose(out.depth[region], 0.6) and np.allclose(out.depth[holes], 1.6)
+    assert np.allclose(out.std[region], 0.02) and np.allclose(out.std[holes], 0.04) and not out.std[kept].any()
 
 
 @pytest.mark.parametrize(("steps", "samples"), [(1, 1), (3, 2)])
@@ -151,38 +149,152 @@ def test_steps_and_samples_cost_what_they_say(ditr, steps, samples):
     assert calls == {branch: [samples] * steps for branch in BRANCHES}
 
 
-# --- what each branch sees --------------------------------------------------------------------------------------------
+# --- where it is painted ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("guide", "branch"), [(0, "geometric"), (2, "optical")])
-def test_each_branch_has_its_own_boundary_map(guide, branch):
-    config = override(TINY, **{"detail.width": 0})  # the finer final step looks at M_RGB for both
+def region_of(shape, *boxes):
+    out = np.zeros(shape, bool)
+    for top, left, bottom, right in boxes:
+        out[top:bottom, left:right] = True
+    return out
+
+
+SHAPE = (120, 160)
+GRID = [(8 + 36 * i, 5 + 32 * j, 20 + 36 * i, 15 + 32 * j) for i in range(3) for j in range(5)]
+REGIONS = {
+    "none": region_of(SHAPE),
+    "all": ~region_of(SHAPE),
+    "one pixel": region_of(SHAPE, (60, 80, 61, 81)),
+    "every border": region_of(SHAPE, (0, 0, 20, 30), (100, 130, 120, 160), (0, 70, 5, 90), (50, 0, 70, 9)),
+    "many blobs": region_of(SHAPE, *GRID),
+}
+
+
+@pytest.mark.parametrize("name", REGIONS)
+def test_any_region_is_painted_in_windows_and_the_rest_is_kept(ditr, name):
+    rgb, depth, _ = frame(*SHAPE)
+    region = REGIONS[name]
+    out = ditr(rgb, depth, region, samples=1, steps=1)
+    kept = ~region & (depth > 0)
+    assert same_bits(out.depth[kept], depth[kept]) and (out.depth > 0).all() and np.isfinite(out.depth).all()
+    counts = {"none": (0, 0), "all": (1, 1), "one pixel": (1, 1), "many blobs": (MOST, MOST)}
+    least, most = counts.get(name, (2, 4))
+    assert least <= len(out.windows) <= most
+    assert same_bits(out.optical[~region], out.geometric[~region])
+    if region.any():
+        assert (out.optical != out.geometric)[region].mean() > 0.9
+
+
+def test_without_windows_the_optical_branch_paints_the_whole_frame():
+    config = override(TINY, window=0)
     ditr = Ditr(untrained(config), config)
-    rgb, depth, region = frame(64, 96)
-    maps = [np.zeros((64, 96), bool) for _ in range(3)]
-    plain = ditr.inpaint(rgb, depth, region, maps, depth_bounds(depth), 1, 1, 0)
-    maps[guide] = np.random.default_rng(0).random((64, 96)) < 0.3
-    guided = ditr.inpaint(rgb, depth, region, maps, depth_bounds(depth), 1, 1, 0)
-    changed = [b for b, p, g in zip(BRANCHES, plain, guided, strict=True) if not np.array_equal(p, g)]
-    assert changed == [branch]
+    rgb, depth, region = frame(*SHAPE)
+    out = ditr(rgb, depth, region)
+    assert out.windows == () and (out.optical != out.geometric)[~region].mean() > 0.9
+    kept = ~region & (depth > 0)
+    assert same_bits(out.depth[kept], depth[kept])
+
+
+@pytest.mark.parametrize("distance", [0.3, 5.0])
+def test_a_region_far_from_all_readings_is_painted_at_the_distance_of_the_frame(ditr, distance):
+    rgb = frame(200, 400)[0]
+    depth = np.zeros((200, 400), np.float32)
+    depth[:, :40] = distance
+    region = region_of((200, 400), (90, 350, 110, 370))
+    out = ditr(rgb, depth, region, steps=1, samples=1)
+    assert (out.windows[0].cut(depth) == 0).all()
+    assert 0.6 * distance < np.median(out.depth[region]) < 1.6 * distance
+
+
+def test_strays_beside_a_hole_do_not_move_what_is_painted_there(ditr):
+    rgb, depth, _ = frame(64, 96)
+    depth = np.where(depth > 0, depth, 0.7).astype(np.float32)
+    depth[20:40, 40:60] = 0
+    spoilt = depth.copy()
+    spoilt[[22, 30, 36], 39] = 40.0
+    nothing = np.zeros(depth.shape, bool)
+    one, other = (ditr(rgb, d, nothing, steps=1, samples=1) for d in (depth, spoilt))
+    hole = np.s_[20:40, 40:60]
+    assert np.median(np.abs(other.depth[hole] / one.depth[hole] - 1)) < 0.05
+    assert np.abs(np.log(other.depth[hole] / one.depth[hole])).max() < 0.4
+    assert (other.depth[[22, 30, 36], 39] == 40).all()  # and they come back
+
+
+# --- stage one --------------------------------------------------------------------------------------------------------
+
+
+def test_threshold_and_kernels_are_the_callers_where_they_are_given(ditr):
+    rgb, depth, _ = frame(64, 96)
+    probability, _ = ditr.find_region(rgb, depth)
+    level = float(np.median(probability))
+    bare = RefineConfig(median=0, dilate=0)
+    out = ditr(rgb, depth, samples=1, steps=1, threshold=level, refine=bare)
+    assert np.array_equal(out.region, probability > level) and 0.3 < out.region.mean() < 0.7
+    _, grown = ditr.find_region(rgb, depth, level, RefineConfig(0, 3, 1))
+    assert np.array_equal(grown, refine_region(probability > level, 0, 3, 1))
+    config = override(TINY, **{"refine.threshold": level, "refine.median": 0, "refine.dilate": 0})
+    assert np.array_equal(Ditr(untrained(), config).find_region(rgb, depth)[1], out.region)
+
+
+def test_temperature_makes_stage_one_less_sure(ditr):
+    rgb, depth, _ = frame(64, 96)
+    sure, _ = ditr.find_region(rgb, depth)
+    config = override(TINY, **{"refine.temperature": 4.0})
+    unsure, _ = Ditr(untrained(), config).find_region(rgb, depth)
+    assert np.abs(unsure - 2 / 3).mean() < np.abs(sure - 2 / 3).mean()  # towards two classes of three
+
+
+# --- who paints what --------------------------------------------------------------------------------------------------
+
+
+def painted(ditr, plan=Plan(), depth=None):  # noqa: B008  frozen
+    rgb, plain, region = frame(64, 96)
+    return ditr.inpaint(rgb, plain if depth is None else depth, region, 1, 1, 0, plan)
+
+
+@pytest.mark.parametrize(("guides", "changed"), [((None, 0), "optical"), ((2, None), "geometric")])
+def test_each_branch_has_its_own_boundary_map(guides, changed):
+    config = override(TINY, **{"detail.width": 0, "window": 0})  # the finer final step looks at M_RGB for both
+    ditr = Ditr(untrained(config), config)
+    plain, other = painted(ditr, Plan(guides=(2, 0))), painted(ditr, Plan(guides=guides))
+    assert [b for b in BRANCHES if not np.array_equal(getattr(plain, b), getattr(other, b))] == [changed]
+
+
+def test_painters_can_change_places():
+    config = override(TINY, **{"window": 0, "evidence": False, "detail.width": 0})
+    ditr = Ditr(untrained(config), config)
+    one, swapped = (painted(ditr, Plan(painters=p, guides=(0, 0))) for p in (BRANCHES, BRANCHES[::-1]))
+    _, depth, region = frame(64, 96)
+    holes = ~region & (depth == 0)
+    assert np.allclose(tie(swapped.optical, depth, region)[holes], one.geometric[holes], rtol=1e-4)
+    assert not np.allclose(swapped.optical, one.optical, rtol=1e-3)
+
+
+def test_evidence_and_detail_can_be_left_out(ditr):
+    plain = painted(ditr).optical
+    for plan in (Plan(evidence=False), Plan(detail=False)):
+        assert not np.array_equal(painted(ditr, plan).optical, plain)
+    assert ditr.painter("optical").evidence and not ditr.painter("geometric").evidence
+    assert ditr.painter("optical", Plan(detail=False)).detail is None
 
 
 @pytest.mark.parametrize("evidence", [True, False])
 def test_readings_inside_the_region_matter_only_as_evidence(evidence):
-    config = override(TINY, evidence=evidence)
+    config = override(TINY, **{"evidence": evidence, "detail.width": 0, "window": 0})
     ditr = Ditr(untrained(config), config)
     rgb, depth, region = frame(64, 96)
-    other, maps = depth.copy(), [np.zeros((64, 96), bool)] * 3
+    other = depth.copy()
     other[region] = other[region][::-1]  # the same readings elsewhere: the bounds stay
-    one, two = (ditr.inpaint(rgb, d, region, maps, depth_bounds(depth), 1, 1, 0)[0][0] for d in (depth, other))
-    assert np.array_equal(one[region], two[region]) != evidence
+    one, two = (painted(ditr, Plan(guides=(None, None)), d).optical for d in (depth, other))
+    assert np.allclose(one[region], two[region], rtol=1e-5) != evidence
 
 
-def test_output_is_metric(ditr, sample):
-    out = ditr(sample.rgb, sample.depth, sample.region)
-    twice = ditr(sample.rgb, 2 * sample.depth, sample.region)  # the raw depth alone sets the scale
-    error = np.abs(twice.optical - 2 * out.optical) / out.optical
-    assert np.median(error) < 0.01
+@pytest.mark.parametrize("times", [0.5, 3.0])
+def test_output_is_metric(ditr, times):
+    rgb, depth, region = frame(64, 96)
+    one, far = (ditr(rgb, (k * depth).astype(np.float32), region) for k in (1, times))
+    for branch in BRANCHES:
+        assert np.median(np.abs(getattr(far, branch) / getattr(one, branch) / times - 1)) < 0.01
 
 
 # --- weights and errors -----------------------------------------------------------------------------------------------

@@ -21,13 +21,16 @@ PACKAGE = ROOT / "ditr_lite"
 SOURCES = {p.relative_to(PACKAGE).as_posix(): p.read_text(encoding="utf-8") for p in sorted(PACKAGE.rglob("*.py"))}
 PYTHON = sorted(p for folder in (PACKAGE, ROOT / "tests", ROOT / "tools") for p in folder.rglob("*.py"))
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+BESIDE = {path.stem for folder in ("tests", "tools") for path in (ROOT / folder).glob("*.py")}  # on pytest's path
 CLOSED = ("exercises", "peers", "cli")  # rooms that no other place of the package imports, save __main__
 # Where the name that is imported is not the one that is installed; drjit comes with mitsuba, which pins it.
 DISTRIBUTIONS = {"PIL": "pillow", "cv2": "opencv-python-headless", "drjit": "mitsuba", "skimage": "scikit-image"}
 
 
-def per_file(paths):
-    return pytest.mark.parametrize("path", paths, ids=lambda p: p.relative_to(ROOT).as_posix())
+def faults(check, paths):
+    """Return {file: what ``check(path)`` found in it} for the files in which it found something."""
+    found = {path.relative_to(ROOT).as_posix(): check(path) for path in paths}
+    return {name: wrong for name, wrong in found.items() if wrong}
 
 
 # --- the package ------------------------------------------------------------------------------------------------------
@@ -175,9 +178,15 @@ def test_imports_run_one_way():
     assert broken_rules(SOURCES, ditr_lite.MODULES) == []
 
 
-@per_file([p for p in PYTHON if ROOT / "tools" in p.parents])
-def test_a_tool_takes_no_private_name(path):
-    assert private_uses(ast.parse(path.read_text(encoding="utf-8"))) == []
+def test_a_newcomer_meets_at_most_thirty_names():
+    """Counted is what there is to read: not the face, the two lines of ``__main__`` or the weights, which are data."""
+    found = {path.stem for path in PACKAGE.iterdir()} - {"__init__", "__main__", "__pycache__", "weights"}
+    assert found == set(ditr_lite.MODULES) and len(ditr_lite.MODULES) == len(found) <= 30
+
+
+def test_no_tool_takes_a_private_name():
+    tools = [p for p in PYTHON if ROOT / "tools" in p.parents]
+    assert tools and faults(lambda path: private_uses(ast.parse(path.read_text(encoding="utf-8"))), tools) == {}
 
 
 def test_import_is_lazy_and_unknown_names_are_refused():
@@ -189,9 +198,9 @@ def test_import_is_lazy_and_unknown_names_are_refused():
         _ = ditr_lite.no_such_name
 
 
-@pytest.mark.parametrize("name", ditr_lite.__all__)
-def test_public_name_resolves(name):
-    assert getattr(ditr_lite, name) is not None and name in dir(ditr_lite)
+def test_public_names_resolve():
+    for name in ditr_lite.__all__:
+        assert getattr(ditr_lite, name) is not None and name in dir(ditr_lite), name
 
 
 # --- no pickles -------------------------------------------------------------------------------------------------------
@@ -233,11 +242,10 @@ def source_of(path):
     return re.sub(r"^(\s*)[%!].*$", r"\1pass", "\n".join(cells), flags=re.MULTILINE)
 
 
-@per_file(
-    [p for p in (*PYTHON, *NOTEBOOKS) if ROOT / "tests" not in p.parents]
-)  # tests may make a bad file to see it refused
-def test_no_pickle(path):
-    assert unsafe_loading(source_of(path)) == []
+def test_no_pickle():
+    # tests may make a bad file to see it refused
+    shipped = [p for p in (*PYTHON, *NOTEBOOKS) if ROOT / "tests" not in p.parents]
+    assert len(shipped) > len(NOTEBOOKS) > 0 and faults(lambda path: unsafe_loading(source_of(path)), shipped) == {}
 
 
 def test_weights_are_safetensors():
@@ -257,16 +265,18 @@ def ranges():
     """Return {name: version range} of everything that environment.txt must pin."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    declared = [*project["dependencies"], *extras["simulate"], *extras["sam"], *extras["dev"]]
+    pinned = ("notebooks", "simulate", "sam", "book", "dev")
+    declared = [*project["dependencies"], *(line for extra in pinned for line in extras[extra])]
     return {requirement.name: requirement.specifier for requirement in map(Requirement, declared)}
 
 
-@pytest.mark.parametrize("line", pins())
-def test_pin_is_exact_and_in_range(line):
-    assert re.fullmatch(r"[\w.-]+==\d[\w.]*", line), "pin as name==version"
-    name, version = line.split("==")
-    assert name in ranges(), "declare it in pyproject.toml as well"
-    assert ranges()[name].contains(version)
+def test_pins_are_exact_and_in_range():
+    declared = ranges()
+    for line in pins():
+        assert re.fullmatch(r"[\w.-]+==\d[\w.]*", line), f"{line}: pin as name==version"
+        name, version = line.split("==")
+        assert name in declared, f"{line}: declare it in pyproject.toml as well"
+        assert declared[name].contains(version), f"{line} is outside {declared[name]}"
 
 
 def test_every_declared_dependency_is_pinned():
@@ -280,15 +290,40 @@ def third_party_imports(source):
             roots |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             roots.add(node.module.split(".")[0])
-    beside = {path.stem for folder in ("tests", "tools") for path in (ROOT / folder).glob("*.py")}  # on pytest's path
-    return roots - sys.stdlib_module_names - beside - {"ditr_lite"}
+    return roots - sys.stdlib_module_names - BESIDE - {"ditr_lite", "tasks"}
 
 
-@per_file(PYTHON)
-def test_every_third_party_import_is_declared(path):
-    names = {DISTRIBUTIONS.get(root, root) for root in third_party_imports(path.read_text())}
-    # pyrealsense2: extra "live", for a device that the tests do not have
-    assert names - set(ranges()) - {"pyrealsense2"} == set()
+def test_every_third_party_import_is_declared():
+    known = set(ranges()) | {"pyrealsense2"}  # extra "live", for a device that the tests do not have
+    known |= {root for root, name in DISTRIBUTIONS.items() if name in known}
+    assert third_party_imports("import numpy, torch.nn, os\nfrom PIL import Image\nfrom . import x") <= known
+    assert third_party_imports("import no_such_package.part") - known == {"no_such_package"}
+    assert faults(lambda path: third_party_imports(path.read_text(encoding="utf-8")) - known, PYTHON) == {}
+
+
+OPTIONAL = ("accelerate", "jupyterlab", "IPython", "ipywidgets", "plotly", "psutil", "diffusers", "transformers")
+OPTIONAL += ("mitsuba", "drjit", "pyrealsense2")
+
+
+def without_extras(code):
+    """Run Python code in a process in which nothing can be imported that only an extra installs."""
+    block = f"import sys; sys.modules.update(dict.fromkeys({OPTIONAL}))"  # None: ImportError
+    command = [sys.executable, "-c", f"{block}\n{code}"]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+
+
+def test_every_module_is_imported_without_any_extra():
+    modules = sorted({f"ditr_lite.{dotted(file)}".rstrip(".") for file in SOURCES} - {"ditr_lite.__main__"})
+    done = without_extras(f"import importlib\nfor name in {modules}: importlib.import_module(name)\nprint('all')")
+    assert done.stdout == "all\n", done.stderr
+    for missing in ("plotly", "transformers"):  # the block blocks
+        assert "ModuleNotFoundError" in without_extras(f"import {missing}").stderr
+
+
+def test_a_frame_is_completed_without_any_extra():
+    code = "import ditr_lite as dl; s = dl.load_sample(dl.list_samples('test')[0]); ditr = dl.Ditr.from_pretrained()\n"
+    done = without_extras(code + "print((ditr(s.rgb, s.depth).depth > 0).all())")
+    assert done.stdout == "True\n", done.stderr
 
 
 def test_environment_installs_the_package_and_no_torchvision():

@@ -40,6 +40,25 @@ def test_configuration_travels_with_the_weights(tmp_path):
     assert loaded == config and sorted(states) == ["autoencoder", "geometric", "optical", "region"]
 
 
+def test_a_system_with_a_pretrained_encoder_loads_it_too(tmp_path):
+    config = preset("lite")
+    for name in ("region", "autoencoder", "optical", "geometric", "detail", "encoder"):
+        save_part(name, STATE, config, tmp_path, {})
+    assert sorted(load_parts(tmp_path)[1]) == ["autoencoder", "detail", "encoder", "geometric", "optical", "region"]
+
+
+def test_a_part_is_copied_with_its_entry_and_only_where_it_is_missing(tmp_path):
+    save_part("encoder", STATE, preset("lite"), tmp_path / "a", {"source": "elsewhere"})
+    save_part("region", STATE, TINY, tmp_path / "b", {})
+    store.copy_part("encoder", tmp_path / "a", tmp_path / "b")
+    card = read_card(tmp_path / "b")
+    assert card["parts"]["encoder"]["source"] == "elsewhere" and card["config"]["name"] == "tiny"
+    assert torch.equal(load_part("encoder", tmp_path / "b")["count"], STATE["count"])
+    save_part("encoder", {"other": torch.ones(1)}, TINY, tmp_path / "a", {})
+    store.copy_part("encoder", tmp_path / "a", tmp_path / "b")  # it is there already
+    assert "count" in load_part("encoder", tmp_path / "b")
+
+
 def test_damaged_or_replaced_weights_are_refused(tmp_path):
     path = save_part("region", STATE, TINY, tmp_path, {})
     whole = path.read_bytes()

@@ -203,9 +203,11 @@ def meta_cost(name, height, width):
             torch.zeros(1, c, height // 4, width // 4),
             torch.zeros(1).long(),
         )
-        features = net.features(cond)
+        channels = config.unet.colour_channels
+        colour = [torch.zeros(1, c, height // (4 * 2**k), width // (4 * 2**k)) for k, c in enumerate(channels)]
+        features = net.features(cond, colour)
         step = count_flops(net, latents, t, features, latents, latents[:, :1])
-        return net, step, count_flops(net.features, cond)
+        return net, step, count_flops(net.features, cond, colour)
 
 
 def test_lite_meets_its_budget():
@@ -229,8 +231,23 @@ def test_flops_are_two_per_multiply_add_and_attention_counts_on_the_cpu():
 
 
 def test_features_are_at_latent_size_and_coarser():
-    shapes = [tuple(f.shape) for f in FeatureExtractor(4, UNetConfig())(torch.zeros(1, 4, 64, 96))]
+    shapes = [tuple(f.shape) for f in FeatureExtractor(4, UNetConfig(colour_channels=()))(torch.zeros(1, 4, 64, 96))]
     assert shapes == [(1, 32, 16, 24), (1, 64, 8, 12), (1, 128, 4, 6), (1, 256, 2, 3)]
+
+
+def test_pretrained_features_are_added_level_by_level():
+    torch.manual_seed(0)
+    net = DenoisingUNet(replace(TINY, colour_channels=(3, 5)), 4, 4)
+    cond = torch.randn(1, 4, 64, 96)
+    colour = [torch.randn(1, c, 64 // s, 96 // s) for c, s in ((3, 4), (5, 8))]
+    plain = net.features(cond, [0 * c for c in colour])
+    for level in range(2):
+        given = [c if i == level else 0 * c for i, c in enumerate(colour)]
+        changed = [not torch.equal(a, b) for a, b in zip(net.features(cond, given), plain, strict=True)]
+        assert changed.index(True) == level
+    for wrong in ((), colour[:1]):
+        with pytest.raises(ValueError, match="colour: expected 2 maps"):
+            net.features(cond, wrong)
 
 
 def test_works_without_attention():

@@ -16,7 +16,7 @@ from pathlib import Path
 import torch
 
 from ditr_lite.config import from_dict, preset
-from ditr_lite.encoder import ColourEncoder, fold
+from ditr_lite.region.encoder import ColourEncoder, fold
 from ditr_lite.store import CARD, WEIGHTS, read_card, save_part
 
 

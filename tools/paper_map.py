@@ -3,7 +3,7 @@
     python tools/paper_map.py [--check]
 
 Eq. n is the paper's own numbering, I n an unnumbered formula in the text, S n a specification, T n a table, A n an
-analysis, F n a figure, C n a compared system. The list itself stands in ``paper_map_entries``;
+analysis, F n a figure, C n a compared system, N n an addition of ours. The list itself stands in ``paper_map_entries``;
 ``tests/test_paper_map.py`` fails on a dead link.
 """
 
@@ -27,6 +27,7 @@ GROUPS = {
     "A": "Analyses",
     "F": "Figures, remade from our own data",
     "C": "Compared systems: a small stand-in for one idea of each, never the system itself",
+    "N": "Not in the paper: what we add to it",
 }
 
 

@@ -61,11 +61,11 @@ boundary.depth_aware | boundary/test_maps.py::test_the_printed_formula_is_an_int
 M_DA = M_RGB \\ ∁_U M_D, which is an intersection
 
 S1 | done | 02_region_refinement | 3 · Decode, with a judge at every level
-region.RegionNet | test_region.py::test_outputs_have_the_promised_shapes
+region.RegionNet | region/test_network.py::test_outputs_have_the_promised_shapes
 stage one: encoder-decoder over colour and depth, feature fusion, boundary refinement
 
 S2 | done | 02_region_refinement | 7 · Refine: a vote, then a reach
-region.refine_region | test_region.py::test_refinement_agrees_with_the_naive_one
+region.refine_region | region/test_network.py::test_refinement_agrees_with_the_naive_one
 refinement: median 7 × 7, then dilation 5 × 5 in 3 iterations
 
 S3 | done | 02_region_refinement | 6 · Train it as the paper says
@@ -89,11 +89,11 @@ unet.DenoisingUNet | test_unet.py::test_paper_preset_can_be_counted_without_memo
 U-Net: four levels, 3 × 3 convolutions and ReLU, max-pooling, doubling channels, self- and cross-attention
 
 S8 | done | 05_boundary_maps | 5 · Three backends behind one call
-boundary.boundary_maps | test_pipeline.py::test_each_branch_has_its_own_boundary_map
+stage_two.Plan | test_pipeline.py::test_each_branch_has_its_own_boundary_map
 two extractors: M_DA guides the optical branch, M_RGB the geometric one
 
 S9 | done | 06_full_pipeline | 10 · Compose
-pipeline.compose | test_completion.py::test_composition_follows_the_rule_pixel_by_pixel
+pipeline.compose | test_composition.py::test_composition_follows_the_rule_pixel_by_pixel
 mask × depth splits to two branches; inside re-estimated, outside filled, the rest kept
 
 T1 | done | 07_metrics | 7 · Audit the paper's tables
@@ -152,9 +152,9 @@ F6 | done | 03_vq_autoencoder | 7 · Look at latents: the paper's figure, remade
 autoencoder.VQAutoencoder | test_autoencoder.py::test_crops_and_whole_images_agree_in_the_interior
 latent representation
 
-F7 | done | 04_ddpm_math | 7 · Depth latents and the shipped denoiser
-diffusion.sample | test_diffusion.py::test_callback_sees_every_step_and_clipping_bounds_every_prediction
-diffusion block
+F7 | done | 06_full_pipeline | 8 · Denoise
+stage_two.paint | test_pipeline.py::test_the_result_is_composed_of_what_both_branches_painted
+diffusion block: condition, encode, denoise, decode
 
 F8 | done | 04_ddpm_math | Level by level
 evaluation.costs.level_costs | evaluation/test_costs.py::test_levels_add_up_to_the_denoiser
@@ -223,4 +223,16 @@ DepthGrasp; the idea: let a critic tell completed depth from real
 C11 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
 peers.networks.predicted_depth | peers/test_networks.py::test_confidence_decides_between_prediction_and_sensor
 SwinDRNet; the idea: fuse colour and depth by confidence
+
+N1 | done | 06_full_pipeline | Where we depart from the paper
+windows.choose_windows | test_windows.py::test_every_pixel_of_a_region_is_painted_by_exactly_one_window_that_holds_it
+the optical branch looks at a square around each piece of the region, not at the whole frame
+
+N2 | done | 02_region_refinement | Where the paper differs
+region.ColourEncoder | region/test_encoder.py::test_folded_weights_compute_what_convolutions_and_batch_norms_did
+colour goes through an encoder that was trained on real pictures, not on rendered ones
+
+N3 | done | 06_full_pipeline | 9 · Decode both branches and sharpen
+detail.DetailNet | test_detail.py::test_propagation_agrees_with_a_loop_over_pixels
+a finer last step: depth spreads from the readings nearby by learnt affinities
 """

@@ -7,16 +7,12 @@ from .maps import (
     M_DA,
     M_RGB,
     Backend,
-    ExactBoundary,
-    boundaries_from_labels,
     boundary_maps,
     depth_aware,
-    depth_boundaries,
     get_backend,
-    precision_recall_f,
-    true_maps,
     within,
 )
+from .truth import ExactBoundary, boundaries_from_labels, depth_boundaries, precision_recall_f, true_maps
 
 __all__ = [
     "BACKENDS",

@@ -15,23 +15,17 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from skimage.segmentation import find_boundaries
 
-from ..data import Sample
-from .classical import ClassicalBoundary, is_depth
+from .classical import ClassicalBoundary
 
 __all__ = [
     "BACKENDS",
     "Backend",
     "ClassicalBoundary",
-    "ExactBoundary",
-    "boundaries_from_labels",
     "boundary_maps",
+    "check_pair",
     "depth_aware",
-    "depth_boundaries",
     "get_backend",
-    "precision_recall_f",
-    "true_maps",
     "within",
 ]
 
@@ -43,77 +37,6 @@ class Backend(Protocol):
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Return (H, W) bool for an image (H, W, 3) uint8, or a depth map (H, W) float metres with 0 = missing."""
-
-
-def boundaries_from_labels(instances: np.ndarray) -> np.ndarray:
-    """Mark the outermost pixels of every labelled object.
-
-    ``skimage.segmentation.find_boundaries`` with mode "inner": the marked pixel lies on the object and has a
-    4-neighbour with another label; background (0) is never marked. One pixel wide, two where two objects touch.
-
-    Args:
-        instances: (H, W) int, 0 = background.
-
-    Returns:
-        (H, W) bool.
-
-    Raises:
-        ValueError: when ``instances`` is not (H, W) of integers.
-    """
-    instances = np.asarray(instances)
-    if instances.ndim != 2 or not np.issubdtype(instances.dtype, np.integer):
-        raise ValueError(f"expected instance labels (H, W) of integers, got {instances.shape} {instances.dtype}")
-    return find_boundaries(instances, connectivity=1, mode="inner", background=0)
-
-
-def depth_boundaries(instances: np.ndarray, depth_gt: np.ndarray, jump: float = 0.01) -> np.ndarray:
-    """Mark those outlines at which true depth jumps: what M_D and M_DA should find.
-
-    An outline pixel counts when true depth differs by more than ``jump`` from a 4-neighbour of another label: an
-    object's foot on the table is an outline, yet no jump.
-
-    Args:
-        instances: (H, W) int, 0 = background.
-        depth_gt: (H, W) float metres, 0 = unknown, which is no jump.
-        jump: metres.
-
-    Returns:
-        (H, W) bool, a subset of :func:`boundaries_from_labels`.
-
-    Raises:
-        ValueError: for maps of different size, or a negative jump.
-    """
-    outline = boundaries_from_labels(instances)
-    if depth_gt.shape != outline.shape or jump < 0:
-        raise ValueError(f"expected depth_gt {outline.shape} and jump >= 0, got {depth_gt.shape} and {jump}")
-    jumps = np.zeros(outline.shape, bool)
-    for axis in (0, 1):
-        (a, b), (z, y) = (
-            (np.take(m, range(m.shape[axis] - 1), axis), np.take(m, range(1, m.shape[axis]), axis))
-            for m in (instances, depth_gt)
-        )
-        found = (a != b) & (z > 0) & (y > 0) & (np.abs(z - y) > jump)
-        last = [(0, 0), (0, 0)]
-        last[axis] = (0, 1)
-        jumps |= np.pad(found, last) | np.pad(found, [pair[::-1] for pair in last])
-    return outline & jumps
-
-
-class ExactBoundary:
-    """Answer with the truth of one rendered frame: the best guides there can be.
-
-    Args:
-        instances: (H, W) int, 0 = background.
-        depth_gt: (H, W) float metres, 0 = unknown.
-        jump: see :func:`depth_boundaries`.
-    """
-
-    def __init__(self, instances: np.ndarray, depth_gt: np.ndarray, jump: float = 0.01):
-        self.colour, self.depth = boundaries_from_labels(instances), depth_boundaries(instances, depth_gt, jump)
-
-    def __call__(self, image: np.ndarray) -> np.ndarray:
-        """Return all outlines for a colour image, those with a depth jump for a depth map; (H, W) bool."""
-        return (self.depth if is_depth(np.asarray(image)) else self.colour).copy()
 
 
 def _load_classical(path: Path | str | None = None) -> Backend:
@@ -187,7 +110,7 @@ def depth_aware(boundary_rgb: np.ndarray, boundary_depth: np.ndarray, tolerance:
     Raises:
         ValueError: for maps that are not bool and of one shape, or a negative tolerance.
     """
-    _check_pair(boundary_rgb, boundary_depth, tolerance)
+    check_pair(boundary_rgb, boundary_depth, tolerance)
     return boundary_rgb & within(boundary_depth, tolerance)
 
 
@@ -215,47 +138,9 @@ def boundary_maps(
     return m_rgb, m_d, depth_aware(m_rgb, m_d, tolerance)
 
 
-def precision_recall_f(pred: np.ndarray, true: np.ndarray, tolerance: float = 1) -> tuple[float, float, float]:
-    """Score a boundary map against the true one.
-
-    Precision is the share of predicted pixels with a true one within ``tolerance``, recall the share of true pixels
-    with a predicted one, F their harmonic mean. (Simpler than the one-to-one matching of the Berkeley benchmark:
-    thick predictions are not punished for being thick.)
-
-    Args:
-        pred: (H, W) bool.
-        true: (H, W) bool.
-        tolerance: pixels, Euclidean, >= 0.
-
-    Returns:
-        (precision, recall, F) in [0, 1]; NaN for a share of an empty set, F only when both maps are empty.
-
-    Raises:
-        ValueError: for maps that are not bool and of one shape, or a negative tolerance.
-    """
-    _check_pair(pred, true, tolerance)
-    right, hit = (pred & within(true, tolerance)).sum(), (true & within(pred, tolerance)).sum()
-    nan = float("nan")
-    precision = float(right / pred.sum()) if pred.any() else nan
-    recall = float(hit / true.sum()) if true.any() else nan
-    if not right:
-        return precision, recall, 0.0 if pred.any() or true.any() else nan
-    return precision, recall, float(2 * precision * recall / (precision + recall))
-
-
-def _check_pair(a: np.ndarray, b: np.ndarray, tolerance: float) -> None:
+def check_pair(a: np.ndarray, b: np.ndarray, tolerance: float) -> None:
+    """Raise a ValueError unless ``a`` and ``b`` are bool maps (H, W) of one size and ``tolerance`` is >= 0 pixels."""
     if a.shape != b.shape or a.ndim != 2 or a.dtype != bool or b.dtype != bool:
         raise ValueError(f"expected two (H, W) bool maps of one size, got {a.shape} {a.dtype} and {b.shape} {b.dtype}")
     if tolerance < 0:
         raise ValueError(f"expected a tolerance >= 0 pixels, got {tolerance}")
-
-
-def true_maps(sample: Sample) -> tuple[np.ndarray, np.ndarray]:
-    """Return the truth for M_RGB and the truth for M_DA, each (H, W) bool.
-
-    Raises:
-        ValueError: for a frame without instances or true depth.
-    """
-    if sample.instances is None or sample.depth_gt is None:
-        raise ValueError(f"{sample.name} has no instances or no true depth: boundaries need rendered scenes")
-    return boundaries_from_labels(sample.instances), depth_boundaries(sample.instances, sample.depth_gt)

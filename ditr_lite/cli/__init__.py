@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
+from ..data import ROOM_SPLITS, SPLITS
 from . import bench, boundary, commands
 
 DATASETS = ("cleargrasp", "cleargrasp_synthetic", "todd", "std", "dreds", "trosd", "transcg", "folder")
@@ -119,7 +120,7 @@ def _floor(p: Parser) -> None:
 
 
 def _simulate(p: Parser) -> None:
-    p.add_argument("--split", choices=("train", "val", "test"), help="only test holds out shapes and materials")
+    p.add_argument("--split", choices=SPLITS + ROOM_SPLITS, help="only test and rooms hold out shapes and materials")
     p.add_argument("--sensor", metavar="NAME", help="d435, d415, l515 or structure instead of a random sensor")
     p.add_argument(
         "--export-as",

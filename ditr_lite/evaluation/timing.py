@@ -18,7 +18,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import psutil
 import torch
 from torch import Tensor, nn
 from tqdm.auto import tqdm
@@ -188,7 +187,7 @@ def views_of(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray)
     whole = [tuple(frame.into(image) for image in (rgb, depth, region))]
     guides = Plan().guides
     found = {"geometric": ditr.look(whole, guides[1], False)[0]}
-    close = [shown for *_, shown in ditr.close_ups(rgb, depth, region)] if ditr.config.window else whole
+    close = [shown for *_, shown in ditr.close_ups(rgb, depth, region, depth)] if ditr.config.window else whole
     if close:
         found["optical"] = ditr.look(close, guides[0], bool(ditr.config.window))[0]
     return found
@@ -226,6 +225,10 @@ def format_latency(rows: list[dict[str, Any]]) -> str:
 
 def peak_mb(fn: Callable[[], object], interval: float = INTERVAL_S) -> float:
     """Return the largest resident memory of this process, in MB (1e6 bytes), while ``fn`` runs."""
+    try:
+        import psutil
+    except ImportError:
+        raise ImportError("measuring memory needs psutil: pip install -e '.[notebooks]'") from None
     process, done = psutil.Process(), threading.Event()
     seen = [process.memory_info().rss]
 

@@ -1,6 +1,6 @@
 """Checkers of the exercises on boundary maps: each prints a check mark, or a cross with the reason, and never raises.
 
-The right answers come from ``boundary.maps`` and ``boundary.sam``, the files that the pipeline draws its guides with.
+The right answers come from ``boundary``, the files that the pipeline draws its guides with and that hold their truth.
 """
 
 import numpy as np

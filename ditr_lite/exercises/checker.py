@@ -28,10 +28,10 @@ def check(
         mistakes: message -> wrong function; the first one that yields the learner's results is named.
         rtol: relative tolerance; 0 asks for the same bits.
     """
-    return verdict(name, lambda: _compare(attempt, reference, inputs, mistakes or {}, rtol))
+    return announce(name, lambda: _compare(attempt, reference, inputs, mistakes or {}, rtol))
 
 
-def verdict(name: str, problem: Callable[[], str | None]) -> bool:
+def announce(name: str, problem: Callable[[], str | None]) -> bool:
     """Print the outcome of ``problem()``, a reason or None when all is well, and return whether it is well.
 
     Exceptions become reasons; ``NotImplementedError`` is an exercise that was not attempted.

@@ -82,25 +82,6 @@ def check_refract(attempt: Function) -> bool:
     return check("refraction", attempt, right, [(angles, 1.0, 1.5), (angles, 1.5, 1.0)], mistakes)
 
 
-def check_virtual_image(attempt: Function) -> bool:
-    """Check ``attempt(point, normal, distance) -> (3,)``: the mirror image of a point in the plane n . x = distance."""
-
-    def right(p, n, d):
-        return p - 2 * (p @ n - d) * n
-
-    mistakes = {
-        "that is the foot on the mirror: go twice as far": lambda p, n, d: p - (p @ n - d) * n,
-        "the image lies on the other side: subtract": lambda p, n, d: p + 2 * (p @ n - d) * n,
-        "the mirror does not pass through the camera: its distance is left out": lambda p, n, d: p - 2 * (p @ n) * n,
-        "the whole point is turned over; only its part along the normal is": lambda p, n, d: -p,
-        "the factor 2 goes with the distance as well": lambda p, n, d: p - (2 * (p @ n) - d) * n,
-        "the sign of the distance is reversed": lambda p, n, d: right(p, n, -d),
-    }
-    tilted = np.array([0.48, -0.6, 0.64])  # unit length
-    cases = [(np.array([0.1, -0.2, 0.7]), np.array([0.0, 0.0, 1.0]), 0.9), (np.array([0.3, 0.1, 0.5]), tilted, 0.4)]
-    return check("virtual image", attempt, right, cases, mistakes)
-
-
 def check_label(attempt: Function) -> bool:
     """Check ``attempt(depth, depth_gt, region) -> codes``, 0 to 5 as in ``LossType``; all truth is known here.
 

@@ -5,7 +5,6 @@ make there; the one that gives the learner's result is named. Later cells use th
 still runs to its end.
 """
 
-import cv2
 import numpy as np
 
 from ..camera import Camera
@@ -64,39 +63,6 @@ def check_rmse(attempt: Function) -> bool:
         "the mean error is subtracted: that is the standard deviation": lambda p, g: np.std(differences(p, g)),
     }
     return check("RMSE", attempt, right, list(zip(pred, gt, strict=True)), mistakes, rtol=1e-4)
-
-
-def check_refine(attempt: Function) -> bool:
-    """Check ``attempt(mask) -> mask``, (H, W) bool: median 7x7, then dilation by 5x5, 3 iterations (S2)."""
-
-    def right(mask):
-        from ..region import refine_region
-
-        return refine_region(mask)
-
-    def median(m, k=7):
-        return cv2.medianBlur(m.astype(np.uint8), k)
-
-    def dilate(m, k=5, n=3, shape=cv2.MORPH_RECT):
-        return cv2.dilate(m.astype(np.uint8), cv2.getStructuringElement(shape, (k, k)), iterations=n)
-
-    mask = np.zeros((64, 80), dtype=bool)
-    mask[20:44, 24:50] = True  # an object, with a hole of a few pixels and a gap that only the median closes
-    mask[30:33, 30:33] = False
-    mask[36:38, 24:40] = False
-    mask[6:8, 60:62] = True  # a speck
-    mask[50:62:2, 60:76:2] = True  # salt
-    wrong = {
-        "dilation comes after the median, here it comes before": lambda m: median(dilate(m)),
-        "the median is left out: specks grow instead of vanishing": lambda m: dilate(m),
-        "the dilation is left out": lambda m: median(m),
-        "the dilation runs once, not three times": lambda m: dilate(median(m), n=1),
-        "the two sizes are swapped: the median is 7x7, the dilation 5x5": lambda m: dilate(median(m, 5), 7),
-        "that erodes: the region should grow": lambda m: cv2.erode(median(m), np.ones((5, 5), np.uint8), iterations=3),
-        "the dilation should use a full 5x5 square, not a cross": lambda m: dilate(median(m), shape=cv2.MORPH_CROSS),
-    }
-    mistakes = {message: lambda m, f=f: f(m) > 0 for message, f in wrong.items()}
-    return check("region refinement", attempt, right, [(mask,), (mask[::-1, ::-1],)], mistakes, rtol=0)
 
 
 def check_compose(attempt: Function) -> bool:

@@ -5,14 +5,16 @@ from typing import Any
 import numpy as np
 
 from ..camera import Camera
+from . import forms
 from .scenes import PRISMS, VESSELS, Scene, Thing, cross_section, outline
 from .stereo import dot_pattern
-from .textures import environment, texture
+from .textures import environment, surrounding, texture
 
 _CV_TO_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])  # our cameras: x right, y down; Mitsuba's: x left, y up
 _SEGMENTS = 64  # of a full turn
 PROJECTOR_DEG = 80.0  # field of view of the infrared projector
 SLIDE_POWER, SLIDE_AMBIENT = 2.0, 0.03  # of a projector that shows a given picture
+_FIRST = 4  # rays per pixel that tell the denoiser of the first surface
 _BLOCK = 32  # pixels a side that share a stream of random numbers; Mitsuba would choose by the number of threads
 
 
@@ -56,17 +58,27 @@ def load(
         dots = np.repeat(pattern[..., None], 3, axis=2)
         image = {"type": "bitmap", "bitmap": mi.Bitmap(dots), "raw": True, "filter_type": "bilinear"}
         pose = mi.ScalarTransform4f(projector_pose @ _CV_TO_MITSUBA)
-        scale = float(rng.uniform(1.0, 2.5)) if slide is None else SLIDE_POWER
+        power, dusk = ((1.0, 2.5), (0.01, 0.25)) if scene.parts is None else ((1.5, 4.0), (0.004, 0.12))
+        scale = float(rng.uniform(*power)) if slide is None else SLIDE_POWER
         beam = {"irradiance": image, "scale": scale, "fov": PROJECTOR_DEG}
         parts["projector"] = {"type": "projector", **beam, "to_world": pose}
-        light = float(np.exp(rng.uniform(np.log(0.01), np.log(0.25)))) if slide is None else SLIDE_AMBIENT
+        light = float(np.exp(rng.uniform(*np.log(dusk)))) if slide is None else SLIDE_AMBIENT
         parts["ambient"] = {"type": "constant", "radiance": light}
     else:
-        parts["ambient"] = {"type": "envmap", "bitmap": mi.Bitmap(environment(scene.seed, scene.ambient))}
+        around = scene.surrounding
+        image = environment(scene.seed, scene.ambient) if around is None else surrounding(**around)
+        parts["ambient"] = {"type": "envmap", "bitmap": mi.Bitmap(image)}
+        if around is not None:  # z is up in our world, y in that of the map
+            parts["ambient"]["to_world"] = mi.ScalarTransform4f().rotate([1, 0, 0], 90)
         for i, light in reversed(list(enumerate(scene.lights))):
             pose = mi.ScalarTransform4f().look_at(list(light["at"]), [0, 0, 0], [0, 1, 0.1]).scale(light["size"])
             emitter = {"type": "area", "radiance": {"type": "rgb", "value": light["power"].tolist()}}
             parts[f"light_{i}"] = {"type": "rectangle", "to_world": pose, "emitter": emitter}
+    if scene.parts is not None:
+        for i, part in enumerate(scene.parts):
+            pose, bsdf = mi.ScalarTransform4f(part["pose"]), _opaque(mi, part, infrared)
+            parts[f"part_{i}"] = {"type": part["shape"], "to_world": pose, "bsdf": bsdf}
+        return mi.load_dict(parts, parallel=False, optimize=False)
     planes = [(scene.table, _plane((0, 0.15, 0), (1.1, 0.75), 0.0, upright=False))]
     planes.append(({**scene.table, "texture": "plain"}, _plane((0, 0, -0.75), (4, 4), 0.0, upright=False)))  # the floor
     planes += [(w, _plane((0, w["y"], 0), (3, 1.5), w["turn"], upright=True)) for w in scene.walls]
@@ -98,6 +110,8 @@ def _opaque(mi, look: dict[str, Any], infrared: bool) -> dict[str, Any]:
         image = np.repeat(look["infrared"] * (0.75 + 0.25 * grey / max(grey.mean(), 1e-3)), 3, axis=2)
     bitmap = mi.Bitmap(np.clip(image, 0.01, 0.97).astype(np.float32))
     albedo = {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "mirror"}
+    if look.get("repeat", 1.0) != 1.0:
+        albedo["to_uv"] = mi.ScalarTransform4f().scale(look["repeat"])
     if look["type"] == "plastic":
         bsdf = {"type": "roughplastic", "diffuse_reflectance": albedo, "alpha": look["roughness"]}
     else:
@@ -109,7 +123,10 @@ def _bsdf(mi, material: dict[str, Any], infrared: bool) -> dict[str, Any]:
     tint = {"type": "rgb", "value": list(material.get("tint", [1.0] * 3))}
     if infrared and "infrared" in material:
         tint = material["infrared"]  # share of infrared light that one wall lets through
-    match material["type"]:
+    kind = material["type"]
+    if infrared and kind == "glass" and material.get("seen_through"):
+        kind = "thin_glass"
+    match kind:
         case "thin_glass":
             return {"type": "thindielectric", "int_ior": material["ior"], "specular_transmittance": tint}
         case "glass":
@@ -123,14 +140,38 @@ def _bsdf(mi, material: dict[str, Any], infrared: bool) -> dict[str, Any]:
     return _opaque(mi, material, infrared)
 
 
-def render(loaded: Any, camera: Camera, pose: np.ndarray, samples: int, seed: int) -> np.ndarray:
+def render(loaded: Any, camera: Camera, pose: np.ndarray, samples: int, seed: int, depth: int = 10) -> np.ndarray:
     """Return the (H, W, 3) float32 linear radiance that a camera sees; ``pose`` is (4, 4) world from camera.
+
+    ``depth`` is the longest path, in segments.
 
     ``volpath`` rather than ``path``: its shadow rays pass straight through thin glass, so the dot pattern does too.
     """
     mi = mitsuba()
-    integrator = mi.load_dict({"type": "volpath", "max_depth": 10, "rr_depth": 3, "block_size": _BLOCK})
+    integrator = mi.load_dict({"type": "volpath", "max_depth": depth, "rr_depth": 3, "block_size": _BLOCK})
     return np.array(mi.render(loaded, sensor=_sensor(camera, pose, samples), integrator=integrator, seed=seed))[..., :3]
+
+
+def render_clean(loaded: Any, camera: Camera, pose: np.ndarray, samples: int, seed: int, depth: int) -> np.ndarray:
+    """Return what :func:`render` does, denoised by Intel Open Image Denoise with the first surfaces' colour and normal.
+
+    Raises:
+        ImportError: when the denoiser is not installed, saying how to install it.
+    """
+    mi = mitsuba()
+    try:
+        import pyoidn
+    except ImportError:
+        raise ImportError("room scenes need pyoidn, of an optional extra: pip install -e '.[simulate]'") from None
+    # One after the other: both in one integrator take three times as long.
+    colour = render(loaded, camera, pose, samples, seed, depth)
+    integrator = mi.load_dict({"type": "aov", "aovs": "a:albedo,n:sh_normal", "block_size": _BLOCK})
+    first = np.array(mi.render(loaded, sensor=_sensor(camera, pose, _FIRST), integrator=integrator, seed=seed))
+    albedo, normal = (np.ascontiguousarray(first[..., k : k + 3], np.float32) for k in (0, 3))
+    bright = 60 * max(float(np.percentile(colour, 80)), 1e-6)  # single paths that met a lamp
+    return pyoidn.denoise(
+        np.clip(colour, 0, bright).astype(np.float32), albedo=np.clip(albedo, 0, 1), normal=normal, hdr=True
+    )
 
 
 def truth(loaded: Any, camera: Camera, pose: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -180,19 +221,31 @@ def _sensor(camera: Camera, pose: np.ndarray, samples: int):
 
 
 def _mesh(mi, name: str, thing: Thing, infrared: bool):
-    solid = thing.material["type"] == "glass"
-    vertices, faces, uv = triangles(thing.family, solid)
+    vertices, faces, uv = vertices_of(thing)
     vertices = (vertices * thing.scale) @ thing.pose[:3, :3].T + thing.pose[:3, 3]
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(_bsdf(mi, thing.material, infrared))
-    mesh = mi.Mesh(name, len(vertices), len(faces), props=properties, has_vertex_texcoords=True)
+    smooth = thing.form is not None
+    have = {"has_vertex_texcoords": True, "has_vertex_normals": smooth}
+    mesh = mi.Mesh(name, len(vertices), len(faces), props=properties, **have)
     mesh.set_id(name)
     values = mi.traverse(mesh)
     values["vertex_positions"] = vertices.ravel().astype(np.float32)
     values["vertex_texcoords"] = uv.ravel().astype(np.float32)
+    if smooth:
+        values["vertex_normals"] = (
+            forms.smooth_normals(vertices, faces, thing.form["segments"]).ravel().astype(np.float32)
+        )
     values["faces"] = faces.ravel().astype(np.uint32)
     values.update()
     return mesh
+
+
+def vertices_of(thing: Thing) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return vertices, faces and texture coordinates of a thing in its own frame, before scale and pose."""
+    if thing.form is not None:
+        return forms.mesh(thing.form)
+    return triangles(thing.family, thing.material["type"] == "glass")
 
 
 def triangles(family: str, solid: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

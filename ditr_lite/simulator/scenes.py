@@ -54,6 +54,7 @@ class Thing:
     scale: np.ndarray
     pose: np.ndarray
     material: dict[str, Any]
+    form: dict[str, Any] | None = None  # a shape of its own, see forms.py; None is the family's
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,9 @@ class Scene:
     camera_pose: np.ndarray
     lights: list[dict[str, Any]]
     ambient: float
-    style: dict[str, float] = field(default_factory=dict)
+    style: dict[str, Any] = field(default_factory=dict)
+    parts: list[dict[str, Any]] | None = None  # of a room, see rooms.py: boxes and planes instead of table and walls
+    surrounding: dict[str, Any] | None = None  # name, turn and level of a photographed panorama
 
 
 def random_scene(seed: int, split: str = "train") -> Scene:

@@ -16,16 +16,21 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from ..camera import Camera, Stereo
-from ..data import OPAQUE, Sample, read_meta, save_sample
+from ..data import OPAQUE, ROOM_SPLITS, SPLITS, Sample, read_meta, save_sample
 from ..loss_types import label
 from . import cameras as sensors
 from . import stereo as sensor
-from .render import load, mitsuba, render, truth
+from .render import load, mitsuba, render, render_clean, truth
+from .rooms import room_scene
 from .scenes import Scene, Thing, random_scene
 
 SIZE = (192, 256)  # height, width of the RGB view
 INFRARED_SIZE = (232, 360)  # wider than the RGB view, so that matching has room
 RGB_PASSES, RGB_SAMPLES, INFRARED_SAMPLES = 4, 4, 5  # paths per pixel
+ROOM_SIZE = (240, 320)  # the same of the room scenes
+ROOM_WIDEST = 420  # pixels of an infrared view
+ROOM_SAMPLES, ROOM_INFRARED_SAMPLES = 7, 3  # paths per pixel
+ROOM_DEPTH, ROOM_INFRARED_DEPTH = 10, 6  # segments of a path
 
 
 def simulate(seed: int, split: str = "train", keep_infrared: bool = False, preset: str | None = None) -> Sample:
@@ -33,13 +38,16 @@ def simulate(seed: int, split: str = "train", keep_infrared: bool = False, prese
 
     Args:
         seed: scene seed; the same seed, split and machine give the same bytes.
-        split: ``train``, ``val``, or ``test``, which alone has held-out shapes and materials.
+        split: table tops: ``train``, ``val``, or ``test``, which alone has held-out shapes and materials;
+            rooms: ``rooms_train``, ``rooms_val``, or ``rooms``, likewise.
         keep_infrared: also return the infrared pair.
         preset: a name of ``sensors.PRESETS``; None draws a sensor at random.
 
     Returns:
         Sample: with region, instances, loss types, causes and both cameras.
     """
+    if split in ROOM_SPLITS:
+        return _simulate_room(seed, split, keep_infrared, preset)
     scene = random_scene(seed, split)
     rng = np.random.default_rng([seed, 7])
     kind = None if preset is None else sensors.preset(preset)
@@ -48,16 +56,65 @@ def simulate(seed: int, split: str = "train", keep_infrared: bool = False, prese
     rgb = photograph(visible, camera, scene.camera_pose, rng, seed)
     points, depth_gt, ids = truth(visible, camera, scene.camera_pose, seed)
     if kind is None:
-        depth, dropped, seen, pair, how = _random_sensor(scene, points, camera, stereo, rng, seed)
+        depth, dropped, seen, pair, how = _random_sensor(scene, points, camera, stereo, rng, seed, INFRARED_SAMPLES)
     else:
         depth, dropped, seen, pair = sensors.measure(kind, scene, points, camera, stereo, INFRARED_SAMPLES, seed)
         how = {"sensor": preset}
+    frame = (rgb, depth, depth_gt, ids)
+    return _sample(scene, split, frame, camera, stereo, dropped, seen, pair if keep_infrared else [None, None], how)
 
+
+def _simulate_room(seed: int, split: str, keep_infrared: bool, preset: str | None) -> Sample:
+    """As :func:`simulate`, of a room scene: larger, by a sensor that suits its distance, with stray readings."""
+    scene = room_scene(seed, split)
+    rng = np.random.default_rng([seed, 11, ROOM_SPLITS.index(split)])
+    if preset is None:
+        height, width = ROOM_SIZE
+        focal = width * np.exp(rng.uniform(np.log(0.72), np.log(1.2)))
+        camera = Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
+    else:
+        camera, stereo = sensors.rig(sensors.preset(preset), ROOM_SIZE)
+    visible = load(scene)
+    rgb = photograph_room(visible, camera, scene.camera_pose, rng, seed)
+    points, depth_gt, ids = truth(visible, camera, scene.camera_pose, seed)
+    if preset is None:
+        stereo, disparities = _room_stereo(rng, camera, depth_gt)
+        how = {"disparities": disparities, "far_m": float(np.exp(rng.uniform(np.log(3.0), np.log(10.0))))}
+        exposure = {"white": float(rng.uniform(90, 98)), "gamma": float(rng.uniform(0.45, 0.9))}
+        paths = {"paths": ROOM_INFRARED_SAMPLES, "depth": ROOM_INFRARED_DEPTH}
+        measured = _random_sensor(
+            scene, points, camera, stereo, rng, seed, exposure=exposure, slanted=True, **paths, **how
+        )
+        depth, dropped, seen, pair, settings = measured
+        strays = sensor.random_strays(rng)
+        depth = sensor.stray(depth, strays, rng)
+        how |= {"exposure": exposure, **settings, "strays": vars(strays)}
+    else:
+        kind = sensors.preset(preset)
+        depth, dropped, seen, pair = sensors.measure(kind, scene, points, camera, stereo, ROOM_INFRARED_SAMPLES, seed)
+        how = {"sensor": preset}
+    frame = (rgb, depth, depth_gt, ids)
+    return _sample(scene, split, frame, camera, stereo, dropped, seen, pair if keep_infrared else [None, None], how)
+
+
+def _sample(
+    scene: Scene,
+    split: str,
+    frame: tuple[np.ndarray, ...],
+    camera: Camera,
+    stereo: Stereo,
+    dropped: np.ndarray,
+    seen: sensors.Seen,
+    pair: list[np.ndarray | None],
+    how: dict[str, Any],
+) -> Sample:
+    """Put together what was rendered and measured; ``frame`` is RGB, raw depth, true depth and instance ids."""
+    rgb, depth, depth_gt, ids = frame
     kinds = np.array([OPAQUE, *(thing.kind for thing in scene.things)], np.uint8)
     material = kinds[ids]
     loss = label(depth, depth_gt, material > OPAQUE)
     return Sample(
-        name=f"{split}_{seed:05d}",
+        name=f"{split}_{scene.seed:05d}",
         rgb=rgb,
         depth=depth,
         depth_gt=depth_gt,
@@ -67,28 +124,41 @@ def simulate(seed: int, split: str = "train", keep_infrared: bool = False, prese
         instances=ids.astype(np.uint8),
         loss=loss,
         cause=sensor.causes(loss, material, dropped, *seen),
-        ir_left=pair[0] if keep_infrared else None,
-        ir_right=pair[1] if keep_infrared else None,
+        ir_left=pair[0],
+        ir_right=pair[1],
         stereo=stereo,
-        meta={"seed": seed, "split": split, **scene.style, **how, "things": _describe(scene.things)},
+        meta={"seed": scene.seed, "split": split, **scene.style, **how, "things": _describe(scene.things)},
     )
 
 
 def _random_sensor(
-    scene: Scene, points: np.ndarray, camera: Camera, stereo: Stereo, rng: np.random.Generator, seed: int
+    scene: Scene,
+    points: np.ndarray,
+    camera: Camera,
+    stereo: Stereo,
+    rng: np.random.Generator,
+    seed: int,
+    paths: int,
+    exposure: dict[str, float] | None = None,
+    depth: int = 10,
+    **limits: Any,
 ) -> tuple[np.ndarray, np.ndarray, sensors.Seen, list[np.ndarray | None], dict[str, Any]]:
-    """Measure with a pattern, projector and matcher drawn from ``rng``; return as :func:`sensors.measure`, and how."""
+    """Measure with a pattern, projector and matcher drawn from ``rng``; return as :func:`sensors.measure`, and how.
+
+    ``paths`` is the renderer's number of paths per pixel, ``depth`` the longest path, ``exposure``
+    are :func:`sensor.expose`'s settings, and ``limits`` :func:`sensor.raw_depth`'s.
+    """
     left_pose = scene.camera_pose @ stereo.motion()
     right_pose = left_pose @ _shift(stereo.baseline_m)
     lit = load(scene, left_pose @ _shift(stereo.baseline_m * rng.uniform(0.2, 0.8)), rng)
-    matcher = sensor.random_matcher(rng)
+    matcher = sensor.random_matcher(rng) if scene.parts is None else sensor.random_room_matcher(rng)
     pair, seen = [], []
     for pose in (left_pose, right_pose):
-        radiance = render(lit, stereo.camera, pose, INFRARED_SAMPLES, seed).mean(axis=2)
-        pair.append(sensor.expose(radiance, matcher, rng))
+        radiance = render(lit, stereo.camera, pose, paths, seed, depth).mean(axis=2)
+        pair.append(sensor.expose(radiance, matcher, rng, **(exposure or {})))
         seen.append(sensor.visible_from(points, truth(lit, stereo.camera, pose, seed)[1], stereo.camera, pose))
-    depth, dropped = sensor.raw_depth(*pair, stereo, camera, matcher, rng)
-    return depth, dropped, seen, pair, {"matcher": vars(matcher)}
+    raw, dropped = sensor.raw_depth(*pair, stereo, camera, matcher, rng, **limits)
+    return raw, dropped, seen, pair, {"matcher": vars(matcher)}
 
 
 def simulate_many(
@@ -119,8 +189,10 @@ def simulate_many(
         ValueError: for an unknown split or sensor, a count below 1, or a folder that holds another sensor's scenes.
         ImportError: without Mitsuba.
     """
-    if split not in ("train", "val", "test") or count < 1:
-        raise ValueError(f"expected a split of train, val, test and a count >= 1, got {split!r} and {count}")
+    if split not in SPLITS + ROOM_SPLITS or count < 1:
+        raise ValueError(
+            f"expected a split of {', '.join(SPLITS + ROOM_SPLITS)} and a count >= 1, got {split!r} and {count}"
+        )
     if preset is not None:
         sensors.preset(preset)
     folder = Path(root) / split
@@ -165,11 +237,20 @@ def _write(folder: Path, split: str, seed: int, infrared: bool, preset: str | No
     if skipped.exists():
         return None
     sample = simulate(seed, split, infrared, preset)
-    if sample.region.mean() < 0.005 or (sample.depth > 0).mean() < 0.25:
+    if not _worth_keeping(sample):
         skipped.touch()
         return None
     save_sample(sample, path)
     return path
+
+
+def _worth_keeping(sample: Sample) -> bool:
+    """Say whether a scene shows what it was made for; a room scene may be meant to show nothing lossy at all."""
+    if sample.meta["split"] not in ROOM_SPLITS:
+        return bool(sample.region.mean() >= 0.005 and (sample.depth > 0).mean() >= 0.25)
+    shown = sample.meta["empty"] or sample.region.mean() >= 0.002
+    known = (sample.depth_gt > 0).mean() >= 0.6 and np.percentile(sample.depth_gt, 90) > 0.08
+    return bool(shown and known and (sample.depth > 0).mean() >= 0.25)
 
 
 def _one_thread() -> None:
@@ -194,6 +275,32 @@ def _rig(rng: np.random.Generator) -> tuple[Camera, Stereo]:
     return camera, Stereo(infrared, float(rng.uniform(0.05, 0.075)), tuple(map(tuple, motion.tolist())))
 
 
+def _room_stereo(rng: np.random.Generator, camera: Camera, depth: np.ndarray) -> tuple[Stereo, int]:
+    """Draw an infrared pair whose search range reaches what is nearest: a short baseline for a hand-held close-up.
+
+    Args:
+        rng: draws everything.
+        camera: of the RGB view.
+        depth: its true depth.
+
+    Returns:
+        Stereo: the pair; int: disparities to search, in pixels.
+    """
+    near = max(float(np.percentile(depth[depth > 0], 1)), 0.05) if (depth > 0).any() else 1.0
+    focal = camera.fx * rng.uniform(1.0, 1.15)
+    baseline = min(rng.uniform(0.05, 0.075), 80 * near / focal)
+    offset = rng.uniform(0.015, 0.045) * min(1.0, near / 0.3)
+    reach = focal * baseline / near
+    half = focal * (camera.width / camera.fx / 2 + (offset + baseline) / near / 2)
+    width = min(2 * round(half) + 16, ROOM_WIDEST)
+    height = 2 * round(focal * camera.height / camera.fy / 2) + 16
+    infrared = Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
+    motion = np.eye(4)
+    motion[:3, 3] = (-offset, *rng.normal(0, 0.002 * min(1.0, near / 0.3), 2))
+    disparities = int(np.clip(16 * np.ceil((1.15 * reach + 4) / 16), 32, 96))
+    return Stereo(infrared, float(baseline), tuple(map(tuple, motion.tolist()))), disparities
+
+
 def _shift(x: float) -> np.ndarray:
     pose = np.eye(4)
     pose[0, 3] = x
@@ -214,6 +321,18 @@ def photograph(loaded: Any, camera: Camera, pose: np.ndarray, rng: np.random.Gen
     smooth = cv2.medianBlur(image, 3)
     speck = np.abs(image.astype(int) - smooth).max(axis=2, keepdims=True) > 10
     return cv2.fastNlMeansDenoisingColored(np.where(speck, smooth, image), None, 4, 8, 5, 11)
+
+
+def photograph_room(loaded: Any, camera: Camera, pose: np.ndarray, rng: np.random.Generator, seed: int) -> np.ndarray:
+    """Return the (H, W, 3) uint8 sRGB picture as :func:`photograph` does, through a lens and with a sensor's noise."""
+    radiance = render_clean(loaded, camera, pose, ROOM_SAMPLES, seed, ROOM_DEPTH)
+    exposure = rng.uniform(0.35, 0.75) / max(float(np.percentile(radiance, 80)), 1e-6)
+    balance = 1 + rng.normal(0, 0.06, 3)
+    blur = rng.uniform(0.3, 0.7)
+    light = cv2.GaussianBlur(np.clip(radiance * exposure * balance, 0, 1).astype(np.float32), (0, 0), blur)
+    shown = light ** (1 / 2.2) * 255
+    grain = cv2.GaussianBlur(rng.normal(0, 1, shown.shape).astype(np.float32), (0, 0), 0.6)
+    return np.clip(np.rint(shown + rng.uniform(0, 3.0) * grain), 0, 255).astype(np.uint8)
 
 
 def _describe(things: list[Thing]) -> list[dict[str, Any]]:

@@ -43,17 +43,38 @@ def random_matcher(rng: np.random.Generator) -> Matcher:
     )
 
 
+def random_room_matcher(rng: np.random.Generator) -> Matcher:
+    """Draw sensor settings for room scenes, whose far walls and dark things lose readings by themselves."""
+    holes = rng.choice(3, p=[0.6, 0.3, 0.1])
+    return Matcher(
+        block=int(rng.choice([9, 11, 13, 15])),
+        uniqueness=int(rng.integers(1, 14)),
+        speckle=int(rng.integers(40, 400)),
+        texture=float(np.exp(rng.uniform(np.log(1.0), np.log(9.0)))),
+        edge=int(rng.choice([0, 1, 2, 3, 4])),
+        holes=float(rng.uniform(*((0, 0.03), (0.03, 0.12), (0.12, 0.35))[holes])),
+        noise=float(rng.uniform(0.5, 4.0)),
+        gain=float(rng.uniform(0.7, 1.6)),
+    )
+
+
 def dot_pattern(rng: np.random.Generator, size: int = 420, share: float = 0.04) -> np.ndarray:
     """Return a (size, size) float32 image in [0, 1] of random dots, ``share`` of its pixels being dot centres."""
     dots = (rng.random((size, size)) < share).astype(np.float32)
     return np.clip(cv2.GaussianBlur(dots, (0, 0), 0.9) * 5, 0, 1)
 
 
-def expose(radiance: np.ndarray, matcher: Matcher, rng: np.random.Generator) -> np.ndarray:
-    """Return an 8-bit infrared image of (h, w) linear radiance: gain, shot noise, read noise, saturation."""
+def expose(
+    radiance: np.ndarray, matcher: Matcher, rng: np.random.Generator, white: float = 97.0, gamma: float = 1.0
+) -> np.ndarray:
+    """Return an 8-bit infrared image of (h, w) linear radiance: gain, shot noise, read noise, saturation.
+
+    ``white`` is the percentile of the radiance that a gain of 1 puts at grey level 200; a ``gamma`` below 1
+    lifts what is dark, as the gain control of a camera in a deep room does.
+    """
     radiance = cv2.GaussianBlur(radiance, (0, 0), 0.8)  # the lens
-    white = max(float(np.percentile(radiance, 97)), 1e-6)
-    signal = radiance / white * 200 * matcher.gain
+    white = max(float(np.percentile(radiance, white)), 1e-6)
+    signal = (radiance / white) ** gamma * 200 * matcher.gain
     noisy = signal + rng.normal(0, 1, signal.shape) * np.sqrt(matcher.noise**2 + 0.1 * np.maximum(signal, 0))
     return np.clip(noisy, 0, 255).astype(np.uint8)
 
@@ -113,11 +134,33 @@ def _subpixel(left: np.ndarray, right: np.ndarray, disparity: np.ndarray, window
     return np.where(disparity > 0, np.maximum(disparity + np.clip(step, -0.3, 0.3), 0.01), 0).astype(np.float32)
 
 
-def dropouts(depth: np.ndarray, matcher: Matcher, rng: np.random.Generator) -> np.ndarray:
-    """Return (h, w) bool, True where the sensor's own filters would drop a reading: at depth jumps and in speckles."""
+def depth_jumps(depth: np.ndarray, reach: int) -> np.ndarray:
+    """Return (h, w) bool, True within ``reach`` pixels of a depth jump, however much a plane slants.
+
+    Inverse depth is linear over the picture of a plane: its second difference tells jumps from slopes.
+    """
+    inverse = np.where(depth > 0, 1 / np.maximum(depth, 1e-3), np.nan)
+    limit = (0.04 + 0.02 * depth) * inverse
+    jump = np.zeros(depth.shape, bool)
+    for axis in (0, 1):
+        before, after = np.roll(inverse, reach, axis), np.roll(inverse, -reach, axis)
+        bend = np.abs(before + after - 2 * inverse) > limit
+        inner = [slice(None), slice(None)]
+        inner[axis] = slice(reach, -reach)
+        jump[tuple(inner)] |= bend[tuple(inner)]
+    return jump
+
+
+def dropouts(depth: np.ndarray, matcher: Matcher, rng: np.random.Generator, slanted: bool = False) -> np.ndarray:
+    """Return (h, w) bool, True where the sensor's own filters would drop a reading: at depth jumps and in speckles.
+
+    ``slanted`` tells jumps from steep planes, see :func:`depth_jumps`.
+    """
     shape = depth.shape
     drop = np.zeros(shape, bool)
-    if matcher.edge:
+    if matcher.edge and slanted:
+        drop |= depth_jumps(depth, matcher.edge)
+    elif matcher.edge:
         kernel = np.ones((2 * matcher.edge + 1,) * 2, np.uint8)
         near = np.where(depth > 0, depth, 1e3).astype(np.float32)
         jump = cv2.dilate(depth.astype(np.float32), kernel) - cv2.erode(near, kernel) > 0.04 * np.maximum(depth, 0.2)
@@ -131,7 +174,15 @@ def dropouts(depth: np.ndarray, matcher: Matcher, rng: np.random.Generator) -> n
 
 
 def raw_depth(
-    left: np.ndarray, right: np.ndarray, stereo: Stereo, camera: Camera, matcher: Matcher, rng: np.random.Generator
+    left: np.ndarray,
+    right: np.ndarray,
+    stereo: Stereo,
+    camera: Camera,
+    matcher: Matcher,
+    rng: np.random.Generator,
+    far_m: float = 4.0,
+    disparities: int = 64,
+    slanted: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return raw depth in the RGB view and the (H, W) bool map of pixels lost to the sensor's own dropouts.
 
@@ -144,16 +195,19 @@ def raw_depth(
         camera: of the RGB view.
         matcher: settings of the sensor.
         rng: draws the dropouts.
+        far_m: the farthest reading that such a camera reports.
+        disparities: search range of the matching, in pixels.
+        slanted: as in :func:`dropouts`.
 
     Returns:
         (H, W) float32 metres, 0 = missing; (H, W) bool.
     """
-    disparity = match(left, right, matcher)
+    disparity = match(left, right, matcher, disparities)
     depth = np.zeros_like(disparity)
     valid = disparity > 0
     depth[valid] = stereo.camera.fx * stereo.baseline_m / disparity[valid]
-    depth[depth > 4.0] = 0  # the range in which such a camera reports
-    return carry_over(depth, dropouts(depth, matcher, rng), stereo, camera)
+    depth[depth > far_m] = 0
+    return carry_over(depth, dropouts(depth, matcher, rng, slanted), stereo, camera)
 
 
 def carry_over(depth: np.ndarray, drop: np.ndarray, stereo: Stereo, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -227,3 +281,49 @@ def causes(
     out[lossy & (material == TRANSPARENT)] = Cause.TRANSMISSION
     out[lossy & (material == REFLECTIVE)] = Cause.REFLECTION
     return out
+
+
+@dataclass(frozen=True)
+class Strays:
+    """Readings that have nothing to do with the scene; drawn per scene by :func:`random_strays`."""
+
+    share: float = 0.0  # of the pixels
+    blob: float = 0.0  # radius of a blob in pixels; 0 is a single pixel
+    near: float = 0.5  # share of strays that are too near rather than too far
+    garbage: float = 0.0  # share of the picture, its nearest part, in which the matching breaks down altogether
+
+
+def random_strays(rng: np.random.Generator) -> Strays:
+    """Draw stray readings: none in half of the scenes, else up to half a per cent; now and then a broken foreground."""
+    share = float(np.exp(rng.uniform(np.log(2e-5), np.log(5e-3)))) if rng.random() < 0.5 else 0.0
+    blob = float(rng.uniform(0.6, 4)) if rng.random() < 0.5 else 0.0
+    garbage = float(rng.uniform(0.08, 0.3)) if rng.random() < 0.04 else 0.0
+    return Strays(share, blob, float(rng.choice([0.0, 0.2, 0.5, 1.0], p=[0.3, 0.35, 0.2, 0.15])), garbage)
+
+
+def stray(depth: np.ndarray, strays: Strays, rng: np.random.Generator) -> np.ndarray:
+    """Return raw depth (H, W) with stray readings: 0.05 to 0.3 or 1.5 to 15 times the median, at most 65 m."""
+    out = depth.copy()
+    valid = depth > 0
+    if not valid.any():
+        return out
+    middle = float(np.median(depth[valid]))
+    if strays.garbage:
+        broken = valid & (depth < np.quantile(depth[valid], strays.garbage))
+        draw = cv2.GaussianBlur(rng.random(depth.shape).astype(np.float32), (0, 0), 1.5)
+        rank = np.argsort(np.argsort(draw.ravel())).reshape(depth.shape) / draw.size
+        out[broken & (rank < 0.5)] = 0
+        wrong = broken & (rank > 0.7)
+        noise = cv2.resize(rng.normal(0, 1, (depth.shape[0] // 3, depth.shape[1] // 3)), depth.shape[::-1])
+        out[wrong] = (depth * np.exp(0.9 * noise + 0.5))[wrong]
+    wanted = round(strays.share * depth.size)
+    v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    while wanted > 0:
+        y, x = rng.integers(depth.shape[0]), rng.integers(depth.shape[1])
+        radius = strays.blob * rng.uniform(0.5, 1.2)
+        spot = (v - y) ** 2 + (u - x) ** 2 <= radius**2
+        low, high = (0.05, 0.3) if rng.random() < strays.near else (1.5, 15.0)
+        value = middle * np.exp(rng.uniform(np.log(low), np.log(high)))
+        out[spot] = value * (1 + rng.normal(0, 0.01, int(spot.sum())))
+        wanted -= int(spot.sum())
+    return np.minimum(out, 65.0).astype(np.float32)

@@ -17,8 +17,7 @@ from ..boundary import Backend
 from ..conditioning import condition, fill
 from ..config import Config
 from ..detail import detail_input
-from ..encoder import ColourEncoder
-from ..region import region_loss
+from ..region import ColourEncoder, region_loss
 from ..schedule import NoiseSchedule, make_schedule
 from ..stage_two import Painter, encode_picture
 from .batches import Batch, draw_frames, draw_windows

@@ -6,13 +6,16 @@ cannot shows the picture.
 
 import json
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
-import plotly.graph_objects as go
 from PIL import Image
 
 from ..camera import Camera, unproject
 from .panels import FONT, Picture
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 MIME = "application/vnd.plotly.v1+json"
 AXES = ("x, right (m)", "z, away (m)", "y, up (m)")  # as drawn: the vertical axis last
@@ -53,7 +56,7 @@ def points_of(
 
 def interactive(
     maps: Mapping[str, np.ndarray], rgb: np.ndarray, camera: Camera, max_points: int = 3000, height: int = 420
-) -> go.Figure:
+) -> "go.Figure":
     """Return clouds side by side, each to be turned and zoomed with the mouse.
 
     Args:
@@ -62,7 +65,14 @@ def interactive(
         camera: of the same size.
         max_points: of each cloud; 3000 points are about 40 KB.
         height: of the figure, in pixels.
+
+    Raises:
+        ImportError: without plotly.
     """
+    try:
+        import plotly.graph_objects as go  # only here: `pip install .` without extras has no plotly
+    except ImportError:
+        raise ImportError("turning clouds with the mouse needs plotly: pip install -e '.[notebooks]'") from None
     figure = go.Figure()
     clouds = {title: points_of(depth, rgb, camera, max_points) for title, depth in maps.items()}
     low, high = _limits([points for points, _ in clouds.values()])
@@ -110,7 +120,7 @@ class Interactive:
     plotly's own display would put its whole library of 4 MB, or a link to one, into the notebook.
     """
 
-    def __init__(self, figure: go.Figure):
+    def __init__(self, figure: "go.Figure"):
         self.figure = figure
 
     def _repr_mimebundle_(self, include=None, exclude=None) -> dict[str, object]:

@@ -14,7 +14,7 @@ import pytest
 from ditr_lite import data, files, pipeline, store
 from ditr_lite.cli import DATASETS, main
 from ditr_lite.config import preset
-from ditr_lite.evaluation import memory, yardstick
+from ditr_lite.evaluation import timing
 from ditr_lite.training import recipes
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -229,9 +229,9 @@ def test_evaluate_prints_tables_and_writes_json(scenes, weights, tmp_path, capsy
 
 def test_bench_adds_a_readers_method_and_what_everything_costs(scenes, weights, tmp_path, capsys, monkeypatch):
     speed = {"part": "optical", "batch": 8, "steps_per_s": 1.0, "frames_per_s": 8.0}
-    monkeypatch.setattr(yardstick, "throughput", lambda ditr: speed)
-    monkeypatch.setattr(yardstick, "compare_unets", lambda ditr, runs: dict.fromkeys(["ours"], UNET))
-    monkeypatch.setattr(memory, "stage_peaks", lambda *_: defaultdict(lambda: 1.0))
+    monkeypatch.setattr(timing, "throughput", lambda ditr: speed)
+    monkeypatch.setattr(timing, "compare_unets", lambda ditr, runs: dict.fromkeys(["ours"], UNET))
+    monkeypatch.setattr(timing, "stage_peaks", lambda *_: defaultdict(lambda: 1.0))
     (tmp_path / "half.py").write_text("def half_a_metre(rgb, depth, region):\n    return 0 * depth + 0.5\n")
     monkeypatch.chdir(tmp_path)
     argv = ["bench", "--root", str(scenes), "--limit", "1", "--steps", "1", "--samples", "1", "--runs", "5"]

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ditr_lite.exercises.checker import check, verdict
+from ditr_lite.exercises.checker import announce, check
 
 
 def double(x):
@@ -75,5 +75,5 @@ def test_bit_for_bit(capsys):
 
 
 def test_verdict_of_a_free_check(capsys):
-    assert verdict("a", lambda: None) and not verdict("b", lambda: "too small")
+    assert announce("a", lambda: None) and not announce("b", lambda: "too small")
     assert capsys.readouterr().out == "✓ a\n✗ b: too small\n"

@@ -40,11 +40,6 @@ def refract(angle, n_from, n_to):
     return np.degrees(np.arcsin(n_from * np.sin(np.radians(angle)) / n_to))
 
 
-def virtual_image(point, normal, distance):
-    signed = np.dot(point, normal) - distance
-    return point - 2 * signed * normal
-
-
 def label(depth, truth, region):
     off = abs(depth - truth)
     wrong = (off > 0.01) & (off > 0.02 * truth)
@@ -83,7 +78,6 @@ def todo(*_):
 RIGHT = {
     checks.check_match: match,
     checks.check_refract: refract,
-    checks.check_virtual_image: virtual_image,
     checks.check_label: label,
     checks.check_partition: partition,
     checks.check_smallest_offset: smallest_offset,
@@ -103,11 +97,6 @@ WRONG = [
     (checks.check_refract, lambda a, n, m: np.degrees(np.arcsin(n * np.sin(a) / m)), "takes radians"),
     (checks.check_refract, lambda a, n, m: a * n / m, "small angles"),
     (checks.check_refract, lambda a, n, m: np.sin(np.radians(a)) * n / m, "arcsine"),
-    (checks.check_virtual_image, lambda p, n, d: p - (p @ n - d) * n, "twice as far"),
-    (checks.check_virtual_image, lambda p, n, d: p - 2 * (p @ n) * n, "distance is left out"),
-    (checks.check_virtual_image, lambda p, n, d: p + 2 * (p @ n - d) * n, "other side"),
-    (checks.check_virtual_image, lambda p, n, d: -p, "along the normal"),
-    (checks.check_virtual_image, lambda p, n, d: p - 2 * (p @ n + d) * n, "sign of the distance"),
     (checks.check_label, lambda d, g, r: 1 * (abs(d - g) > np.maximum(0.01, 0.02 * g)) + 3 * r, "test for them first"),
     (checks.check_label, label_with(lambda d, g: (abs(d - g) > 0.01) | (abs(d - g) > 0.02 * g)), "both thresholds"),
     (checks.check_label, label_with(lambda d, g: abs(d - g) > 0.01), "2 %"),

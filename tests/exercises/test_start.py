@@ -3,7 +3,6 @@
 Answers and mistakes are written here as a learner would write them, not taken from the checkers.
 """
 
-import cv2
 import numpy as np
 from checker_cases import checker_tests
 
@@ -19,11 +18,6 @@ def disparity_to_depth(d, fx, b):
 def rmse(pred, gt):
     valid = gt > 0
     return np.sqrt(np.mean((pred[valid] - gt[valid]) ** 2))
-
-
-def refine(mask):
-    mask = cv2.medianBlur(mask.astype(np.uint8) * 255, 7)
-    return cv2.dilate(mask, np.ones((5, 5), np.uint8), iterations=3) > 127
 
 
 def compose(depth, optical, geometric, region):
@@ -44,16 +38,10 @@ def shadow_width(near, far, baseline, fx):
 RIGHT = {
     checks.check_disparity_to_depth: disparity_to_depth,
     checks.check_rmse: rmse,
-    checks.check_refine: refine,
     checks.check_compose: compose,
     checks.check_unproject: unproject,
     checks.check_shadow_width: shadow_width,
 }
-
-
-def dilate_first(mask):
-    mask = cv2.dilate(mask.astype(np.uint8) * 255, np.ones((5, 5), np.uint8), iterations=3)
-    return cv2.medianBlur(mask, 7) > 127
 
 
 def compose_in_double(depth, optical, geometric, region):
@@ -88,29 +76,6 @@ MISTAKES = [
     (checks.check_rmse, lambda p, g: 1000 * rmse(p, g), "millimetres"),
     (checks.check_rmse, lambda p, g: np.linalg.norm((p - g)[g > 0]), "mean is missing"),
     (checks.check_rmse, lambda p, g: (p - g)[g > 0].std(), "standard deviation"),
-    (checks.check_refine, dilate_first, "before"),
-    (
-        checks.check_refine,
-        lambda m: cv2.dilate(m.astype(np.uint8), np.ones((5, 5)), iterations=3) > 0,
-        "median is left",
-    ),
-    (checks.check_refine, lambda m: cv2.medianBlur(m.astype(np.uint8), 7) > 0, "dilation is left out"),
-    (
-        checks.check_refine,
-        lambda m: cv2.dilate(cv2.medianBlur(m.astype(np.uint8), 7), np.ones((5, 5))) > 0,
-        "not three times",
-    ),
-    (
-        checks.check_refine,
-        lambda m: cv2.dilate(cv2.medianBlur(m.astype(np.uint8), 5), np.ones((7, 7)), iterations=3) > 0,
-        "swapped",
-    ),
-    (
-        checks.check_refine,
-        lambda m: cv2.erode(cv2.medianBlur(m.astype(np.uint8), 7), np.ones((5, 5)), iterations=3) > 0,
-        "erodes",
-    ),
-    (checks.check_refine, lambda m: refine(m).astype(np.uint8) * 255, "should be bool"),
     (checks.check_compose, lambda d, o, g, r: compose(d, g, o, r), "branches are swapped"),
     (checks.check_compose, lambda d, o, g, r: compose(d, o, g, ~r), "inverted"),
     (checks.check_compose, lambda d, o, g, r: np.where(d == 0, np.where(r, o, g), d), "readings inside"),

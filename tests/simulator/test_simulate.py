@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ditr_lite.camera import shadow_width_px
+from ditr_lite.camera import Camera, shadow_width_px
 from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample, read_sample, save_sample
 from ditr_lite.loss_types import Cause, LossType, label
 from ditr_lite.simulator import simulate as simulator
@@ -118,6 +118,53 @@ def test_an_opaque_plate_reads_well_and_casts_both_shadows_of_parallax(monkeypat
     assert width - 2.5 < np.median(rows) < width + 0.5  # visible_from forgives a pixel at either side
 
 
+@pytest.fixture
+def small_rooms(monkeypatch):
+    pytest.importorskip("pyoidn")
+    monkeypatch.setattr(simulator, "ROOM_SIZE", (72, 96))
+    monkeypatch.setattr(simulator, "ROOM_SAMPLES", 2)
+
+
+def test_a_room_scene_is_measured_labelled_and_noted_in_full(small_rooms):
+    first, again = simulate(9, "rooms", True), simulate(9, "rooms", True)
+    for key in ("rgb", "depth", "depth_gt", "material", "instances", "loss", "cause", "ir_left", "ir_right"):
+        assert np.array_equal(getattr(first, key), getattr(again, key)), key
+    assert first.name == "rooms_00009" and first.rgb.shape == (72, 96, 3)
+    assert np.array_equal(first.loss, label(first.depth, first.depth_gt, first.region))
+    noted = {
+        "seed",
+        "split",
+        "place",
+        "distance_m",
+        "surrounding",
+        "matcher",
+        "exposure",
+        "strays",
+        "disparities",
+        "far_m",
+    }
+    assert noted <= first.meta.keys() and first.ir_left.shape[1] <= simulator.ROOM_WIDEST
+
+
+@pytest.mark.parametrize("near_m", [0.08, 0.15, 0.5, 3.0])
+def test_the_search_range_reaches_what_is_nearest(near_m):
+    camera = Camera(300, 300, 159.5, 119.5, 320, 240)
+    for seed in range(20):
+        depth = np.full((240, 320), near_m)
+        stereo, disparities = simulator._room_stereo(np.random.default_rng(seed), camera, depth)
+        assert stereo.camera.fx * stereo.baseline_m / near_m < disparities <= 96
+
+
+@pytest.mark.parametrize("empty, share, kept", [(True, 0.0, True), (False, 0.0, False), (False, 0.01, True)])
+def test_a_room_that_is_meant_to_be_without_glass_is_kept(empty, share, kept):
+    region = np.zeros((100, 100), bool)
+    region.ravel()[: int(share * region.size)] = True
+    depth, meta = np.ones((100, 100), np.float32), {"split": "rooms_train", "empty": empty}
+    sample = Sample("x", np.zeros((100, 100, 3), np.uint8), depth, depth, region, meta=meta)
+    assert simulator._worth_keeping(sample) is kept
+    assert not simulator._worth_keeping(replace(sample, depth=np.zeros_like(depth)))
+
+
 def test_many_scenes_resume_and_skip_by_seed_alone(tmp_path, monkeypatch):
     calls = []
 
@@ -170,6 +217,8 @@ class InPlace:
 
 @pytest.mark.parametrize("split, count", [("holdout", 1), ("train", 0)])
 def test_wrong_requests_are_refused_before_anything_is_made(tmp_path, split, count):
-    with pytest.raises(ValueError, match="expected a split of train, val, test and a count >= 1"):
+    with pytest.raises(
+        ValueError, match="expected a split of train, val, test, rooms_train, rooms_val, rooms and a count >= 1"
+    ):
         simulate_many(tmp_path, split, count)
     assert not list(tmp_path.iterdir())

@@ -5,6 +5,7 @@ import pytest
 from ditr_lite.camera import Camera, Stereo
 from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT
 from ditr_lite.loss_types import Cause, LossType
+from ditr_lite.simulator import stereo as sensor
 from ditr_lite.simulator.stereo import (
     Matcher,
     causes,
@@ -128,3 +129,28 @@ def test_causes_name_the_strongest_reason():
     expected += [Cause.MISMATCH, Cause.TRANSMISSION, Cause.TRANSMISSION, Cause.REFLECTION, Cause.NONE, Cause.NONE]
     assert found.dtype == np.uint8 and found[0].tolist() == expected
     assert LossType(255) is LossType.UNKNOWN
+
+
+def test_a_steep_plane_is_no_depth_jump_and_a_step_is():
+    v = np.arange(120)[:, None] + np.zeros(160)
+    plane = 1 / (0.4 + 0.012 * v)  # a floor seen from low down: inverse depth is linear
+    assert not sensor.depth_jumps(plane, 4).any()
+    step = np.where(np.arange(160) < 80, 1.0, 1.3) * np.ones((120, 1))
+    columns = np.unique(np.nonzero(sensor.depth_jumps(step, 3))[1])
+    assert columns.min() >= 76 and columns.max() <= 83 and len(columns) >= 6
+
+
+def test_strays_are_as_many_and_as_far_off_as_drawn():
+    depth = np.full((240, 320), 0.8, np.float32)
+    for blob in (0.0, 3.0):
+        out = sensor.stray(depth, sensor.Strays(share=0.004, blob=blob, near=0.5), np.random.default_rng(1))
+        moved = out != depth
+        assert 0.003 < moved.mean() < 0.006
+        ratio = out[moved] / 0.8
+        assert ((ratio < 0.33) | (ratio > 1.4)).all() and (ratio < 1).any() and (ratio > 1).any() and out.max() <= 65
+    assert np.array_equal(sensor.stray(depth, sensor.Strays(), np.random.default_rng(1)), depth)
+
+
+def test_half_of_the_scenes_have_no_strays_and_none_more_than_half_a_per_cent():
+    drawn = [sensor.random_strays(np.random.default_rng(seed)) for seed in range(400)]
+    assert 0.4 < np.mean([d.share == 0 for d in drawn]) < 0.6 and max(d.share for d in drawn) <= 0.005

@@ -18,7 +18,6 @@ from ditr_lite.studies.robustness import CONDITIONS
 ROOT = Path(__file__).resolve().parents[2]
 RESULT = store.WEIGHTS / "results_robustness.json"
 SCENE = load_sample(list_samples("val")[1])
-CASES = [(name, strength) for name, (_, strengths, _, _) in CONDITIONS.items() for strength in strengths]
 
 
 @pytest.fixture(scope="module")
@@ -28,16 +27,18 @@ def tiny():
     return pipeline.Ditr(pipeline.build(config), config)
 
 
-@pytest.mark.parametrize(("name", "strength"), CASES)
-def test_no_condition_crashes_or_gives_what_is_not_finite(name, strength, tiny):
-    frame = CONDITIONS[name][0](SCENE, strength)
-    assert frame.rgb.dtype == np.uint8 and frame.rgb.shape == (*frame.depth.shape, 3)
-    assert frame.depth.dtype == frame.depth_gt.dtype == np.float32 and frame.region.dtype == bool
-    assert np.isfinite(frame.depth).all() and (frame.depth >= 0).all() and (frame.depth > 0).any()
-    out = tiny(frame.rgb, frame.depth)
-    assert out.depth.shape == frame.depth.shape and np.isfinite(out.depth).all() and (out.depth > 0).all()
-    keep = (frame.depth > 0) & ~out.region
-    assert np.array_equal(out.depth[keep], frame.depth[keep])
+@pytest.mark.parametrize("name", CONDITIONS)
+def test_no_condition_crashes_or_gives_what_is_not_finite(name, tiny):
+    condition, strengths, _, _ = CONDITIONS[name]
+    for strength in strengths:
+        frame, case = condition(SCENE, strength), f"{name} {strength}"
+        assert frame.rgb.dtype == np.uint8 and frame.rgb.shape == (*frame.depth.shape, 3), case
+        assert frame.depth.dtype == frame.depth_gt.dtype == np.float32 and frame.region.dtype == bool, case
+        assert np.isfinite(frame.depth).all() and (frame.depth >= 0).all() and (frame.depth > 0).any(), case
+        out = tiny(frame.rgb, frame.depth)
+        assert out.depth.shape == frame.depth.shape and np.isfinite(out.depth).all() and (out.depth > 0).all(), case
+        keep = (frame.depth > 0) & ~out.region
+        assert np.array_equal(out.depth[keep], frame.depth[keep]), case
 
 
 @pytest.mark.parametrize("name", [n for n in CONDITIONS if n not in ("distance", "aspect")])

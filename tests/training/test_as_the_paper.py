@@ -1,7 +1,6 @@
 """The paper's recipe for stage one, its rate for the denoiser, and a step of every part at the paper's widths."""
 
 import math
-import resource
 import sys
 
 import numpy as np
@@ -186,6 +185,7 @@ def denoiser_case():
 @pytest.mark.parametrize(("case", "lr"), [(region_case, 1e-3), (autoencoder_case, 1e-5), (denoiser_case, 6.4e-5)])
 def test_a_step_of_training_runs_at_the_papers_widths(case, lr):
     torch.manual_seed(0)
+    resource = pytest.importorskip("resource", reason="Windows does not tell the peak of a process's memory")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     model, loss = case()
     optimiser = torch.optim.Adam(model.train().parameters(), lr)

@@ -1,5 +1,4 @@
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +8,19 @@ import ditr_lite as dl
 from ditr_lite.config import Config, override, preset
 from ditr_lite.data import SAMPLES, Sample, read_sample, save_sample
 from ditr_lite.store import load_part, read_card
-from ditr_lite.training import recipes
-from ditr_lite.training.batches import load_scenes
+from ditr_lite.training import parts as module
 from ditr_lite.training.loop import Recipe
-from ditr_lite.training.parts import PARTS, check_same_system, folder_name, scene_errors, train, train_on
+from ditr_lite.training.parts import (
+    PARTS,
+    check_same_system,
+    folder_name,
+    needs,
+    root_mean_square,
+    scene_errors,
+    train,
+    train_on,
+)
+from ditr_lite.training.scenes import load_scenes
 
 TINY = preset("tiny")
 RECIPE = Recipe(steps=2, batch=2, lr=1e-3, warmup=1)
@@ -24,13 +32,13 @@ def data(tmp_path_factory):
     folder = tmp_path_factory.mktemp("data")
     for name in dl.list_samples("val")[:3]:
         full = read_sample(SAMPLES / "val" / name)
-        maps = {k: getattr(full, k)[::2, ::2].copy() for k in ("rgb", "depth", "depth_gt", "material")}
+        maps = {k: getattr(full, k)[::2, ::2].copy() for k in ("rgb", "depth", "depth_gt", "material", "instances")}
         save_sample(Sample(name, **maps), folder / name)
     return folder
 
 
 def go(part, data, home, config=TINY, **settings):
-    return train(part, config, data, data, home / "weights", home / "work", RECIPE, **settings)
+    return train(part, config, [data], [data], home / "weights", home / "work", RECIPE, **settings)
 
 
 @pytest.fixture(scope="module")
@@ -40,17 +48,17 @@ def trained(data, tmp_path_factory):
     return home, {part: go(part, data, home) for part in PARTS}
 
 
-def test_every_part_trains_and_the_card_says_how(trained):
+def test_every_part_trains_and_the_card_says_how(trained, data):
     home, notes = trained
     card = read_card(home / "weights")
     assert tuple(card["parts"]) == PARTS and card["config"]["name"] == "tiny"
     for part, entry in card["parts"].items():
-        assert entry["steps"] == 2 and entry["scenes"] == 3 and entry["recipe"]["batch"] == 2
-        assert entry["first_scene"] == "val_00000"
+        assert entry["steps"] == 2 and entry["recipe"]["batch"] == 2
+        assert entry["scenes"] == {"val_00000 to val_00002": 3}
         figures = entry["curve"][-1]
         assert figures == notes[part]["curve"][-1] and figures["step"] == 2
-        assert all(0 <= v < 10 for k, v in figures.items() if k.startswith("val_"))
-        assert any(k.startswith("val_") for k in figures)
+        scored = {k: v for k, v in figures.items() if k.startswith(f"val_{data.name}_")}
+        assert scored and all(0 <= v <= 64 for v in scored.values())
 
 
 def test_what_was_trained_completes_a_frame(trained, data):
@@ -77,13 +85,13 @@ def test_same_seed_trains_the_same_bytes(trained, data, tmp_path):
 
 def test_limit_takes_the_first_scenes(data, tmp_path):
     notes = go("region", data, tmp_path, limit=2)
-    assert notes["scenes"] == 2 and notes["last_scene"] == "val_00001"
+    assert notes["scenes"] == {"val_00000 to val_00001": 2}
 
 
 def test_training_goes_on_from_given_weights(trained, data, tmp_path):
     home, notes = trained
     still = Recipe(steps=1, batch=2, lr=0.0)
-    entry = train("region", TINY, data, data, tmp_path / "out", tmp_path, still, start=home / "weights")
+    entry = train("region", TINY, [data], [data], tmp_path / "out", tmp_path, still, start=home / "weights")
     assert entry["start_sha256"] == read_card(home / "weights")["parts"]["region"]["sha256"]
     then, now = (load_part("region", folder) for folder in (home / "weights", tmp_path / "out"))
     learnt = [k for k in then if "running" not in k and "num_batches" not in k]
@@ -124,7 +132,8 @@ def test_settings_name_a_folder():
 
 def test_one_folder_holds_one_system(trained, data):
     home = trained[0]
-    changes = [{"size": "32,64"}, {"evidence": False}, {"sampler.prediction": "v", "unet.anchor": False}]
+    changes = [{"size": "32,64"}, {"window": 96}, {"evidence": False}]
+    changes.append({"sampler.prediction": "v", "unet.anchor": False})
     for change in [*changes, {"detail.width": 16}]:
         before = (home / "weights" / "card.json").read_bytes()
         with pytest.raises(
@@ -132,7 +141,7 @@ def test_one_folder_holds_one_system(trained, data):
         ):
             go("region", data, home, override(TINY, **change))
         assert (home / "weights" / "card.json").read_bytes() == before
-    scenes = load_scenes(data)
+    scenes = [load_scenes(data)]
     with pytest.raises(ValueError, match="another size setting"):
         train_on("region", override(TINY, size="32,64"), scenes, None, home / "weights", home, RECIPE)
     check_same_system(override(TINY, **{"sampler.samples": 9, "refine.median": 3}), home / "weights")  # not in weights
@@ -156,31 +165,30 @@ def test_what_cannot_be_trained_is_refused(trained, data, tmp_path):
         go("optical", data, home, override(TINY, **{"unet.width": 16}))
 
 
-class Truth:
-    """An "autoencoder" that decodes to the truth, but for 10 mm inside the region."""
-
-    def __init__(self, scenes):
-        self.batches = recipes.batches(scenes, 8)
-
-    def encode(self, x):
-        return torch.zeros(len(x), 3, 4, 4)
-
-    def decode(self, z):
-        batch = next(self.batches)
-        return batch.gt_n + 0.01 / batch.scale_m * (batch.material > 0)[:, None]
-
-
-class Blank:
-    def features(self, image):
-        return image
-
-    def __call__(self, noise, *given):
-        return noise
+def test_parts_need_those_that_they_build_on():
+    lite = preset("lite")
+    assert needs("detail", TINY) == ["autoencoder", "optical", "geometric"] and needs("region", TINY) == []
+    assert needs("region", lite) == ["encoder"] and needs("optical", lite) == ["autoencoder", "encoder"]
+    assert needs("autoencoder", lite) == []
 
 
 @pytest.mark.parametrize(("branch", "due"), [("optical", 0.01), ("geometric", 0.0)])
-def test_errors_of_a_branch_are_those_of_its_own_pixels(branch, due):
-    full = load_scenes(SAMPLES / "val", limit=9)  # one more than a batch
-    scenes = replace(full, guides=np.zeros((9, 2, *full.depth.shape[1:]), np.uint8))
-    found = scene_errors(branch, Blank(), Truth(scenes), scenes, Config())
-    np.testing.assert_allclose(found, due, atol=1e-6)
+def test_errors_of_a_branch_are_those_of_its_own_pixels(branch, due, monkeypatch):
+    scenes = load_scenes(SAMPLES / "val", limit=9)  # one more than a batch
+
+    def wrong_inside(branch, painter, batch, config, seed=0):
+        region = batch.region
+        middle = (batch.bounds.low * batch.bounds.high).sqrt()
+        painted = batch.bounds.normalise(batch.truth_m.clamp(min=0.1) + 0.01 * middle * region)
+        return painted, region if branch == "optical" else (1 - region) * (1 - batch.valid)
+
+    monkeypatch.setattr(module.recipes, "one_step", wrong_inside)
+    found = scene_errors(branch, None, Config(), scenes)
+    np.testing.assert_allclose(found, due, atol=1e-5)
+
+
+def test_root_mean_squares_are_per_view_and_of_the_chosen_pixels():
+    error = torch.tensor([[3.0, 4.0, 99.0], [1.0, 1.0, 1.0]]).view(2, 1, 1, 3)
+    where = torch.tensor([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0]]).view(2, 1, 1, 3)
+    first, second = root_mean_square(error, where)
+    assert first == pytest.approx(12.5**0.5) and np.isnan(second)

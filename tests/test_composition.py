@@ -77,9 +77,17 @@ def test_depth_is_cleaned_and_the_callers_array_left_alone():
 def test_expected_error_adds_a_share_of_the_depth_to_the_scaled_spread():
     spread, depth = np.array([[0.03, 0.03, 0.0]]), np.array([[0.5, 0.5, 0.8]], np.float32)
     region, kept = np.array([[True, False, False]]), np.array([[False, False, True]])
-    plain = expected_error(spread, depth, kept, region, StdConfig())
+    doubt = np.zeros((1, 3))
+    plain = expected_error(spread, depth, kept, region, doubt, StdConfig())
     assert np.allclose(plain, [[0.03, 0.03, 0]]) and plain.dtype == np.float32
-    fitted = expected_error(spread, depth, kept, region, StdConfig(base=(0.08, 0), factor=(1, 3)))
+    fitted = expected_error(spread, depth, kept, region, doubt, StdConfig(base=(0.08, 0), factor=(1, 3)))
     assert np.allclose(fitted, [[0.05, 0.09, 0]])
-    single = expected_error(0 * spread, depth, kept, region, StdConfig(base=(0.08, 0.1), factor=(2, 2)))
+    single = expected_error(0 * spread, depth, kept, region, doubt, StdConfig(base=(0.08, 0.1), factor=(2, 2)))
     assert np.allclose(single, [[0.04, 0.05, 0]])  # of one sample there is no spread
+
+
+def test_a_kept_reading_is_as_sure_as_stage_one_is_of_no_glass():
+    depth, nothing = np.full((1, 3), 2.0, np.float32), np.zeros((1, 3), bool)
+    doubt = np.array([[0.0, 0.25, 1.0]])
+    error = expected_error(0 * depth, depth, ~nothing, nothing, doubt, StdConfig(kept=0.03, missed=0.08))
+    assert np.allclose(error, 2 * np.sqrt(0.03**2 + doubt * 0.08**2))

@@ -7,6 +7,7 @@ from hypothesis.extra.numpy import arrays
 
 from ditr_lite.config import RegionConfig, preset
 from ditr_lite.region import (
+    COLOUR_ENCODERS,
     IGNORE,
     BoundaryRefinement,
     CrossModalFusion,
@@ -93,8 +94,17 @@ def test_the_lite_preset_keeps_its_budget():
     net = RegionNet(preset("lite").region).eval()
     with FlopCounterMode(display=False) as counter, torch.no_grad():
         net(*frame(1, 192, 256))
-    assert counter.get_total_flops() <= 1.2e9
-    assert sum(p.numel() for p in net.parameters()) <= 1_000_000
+    assert counter.get_total_flops() <= 1.3e9
+    assert sum(p.numel() for p in net.parameters()) <= 1_300_000  # 0.8 million of them pretrained
+
+
+def test_a_pretrained_encoder_has_the_widths_of_the_other_one():
+    torch.manual_seed(0)
+    rgb = torch.randn(1, 3, 32, 64)
+    pretrained, scratch = (COLOUR_ENCODERS[kind](3, 8, 3)(rgb) for kind in ("pretrained", "scratch"))
+    assert [f.shape for f in pretrained] == [f.shape for f in scratch]
+    with pytest.raises(ValueError, match="at up to 4 levels, got 5"):
+        COLOUR_ENCODERS["pretrained"](3, 8, 5)
 
 
 # ---- the loss

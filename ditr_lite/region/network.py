@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .config import RegionConfig
+from ..config import RegionConfig
 from .encoder import CHANNELS, ColourEncoder
 
 IGNORE = 255  # target class of a pixel whose class is unknown

@@ -1,0 +1,31 @@
+"""Stage one: the network that finds glass and metal, its loss, the refinement of its mask; its pretrained encoder."""
+
+from .encoder import ColourEncoder
+from .network import (
+    COLOUR_ENCODERS,
+    IGNORE,
+    BoundaryRefinement,
+    CrossModalFusion,
+    Encoder,
+    PretrainedPyramid,
+    RegionNet,
+    class_boundary,
+    refine_region,
+    region_loss,
+    region_probability,
+)
+
+__all__ = [
+    "BoundaryRefinement",
+    "COLOUR_ENCODERS",
+    "ColourEncoder",
+    "CrossModalFusion",
+    "Encoder",
+    "IGNORE",
+    "PretrainedPyramid",
+    "RegionNet",
+    "class_boundary",
+    "refine_region",
+    "region_loss",
+    "region_probability",
+]
