@@ -1,71 +1,73 @@
-"""Checkers for the exercises on the whole pipeline: normalised depth, what is known, what samples say, what it costs."""
+"""Checkers for the exercises on the whole pipeline: windows, what is known, what samples say, what it costs."""
 
 import numpy as np
 
 from .checker import Function, check
 
 
-def check_normalise(attempt: Function) -> bool:
-    """Check ``attempt(depth, low, high) -> depth_n``: log depth, low at -1 and high at 1, compressed beyond, 0 missing.
+def check_square(attempt: Function) -> bool:
+    """Check ``attempt(box, shape) -> (top, left, side)``: the window of a blob, as ``windows.square`` gives it.
 
-    With u the scaled logarithm it is u where abs(u) <= 1 and sign(u) (1 + ln abs(u)) beyond, as in
-    ``conditioning.Bounds``.
+    ``box`` is (top, left, bottom, right) with exclusive ends, ``shape`` (H, W). The side is twice the longer side of
+    the box, at least a fifth of the frame's longer side and at most that side; the square has the box in its middle
+    and is moved into the frame. In all cases it fits there, and the numbers are whole.
     """
 
-    def scaled(d, low, high):
-        read = np.where(d > 0, d, 1.0)
-        return (np.log(read) - np.log(low * high) / 2) / (np.log(high / low) / 2)
+    def side_of(box, shape, margin=2, least=0.2):
+        side = max(margin * max(box[2] - box[0], box[3] - box[1]), least * max(shape))
+        return min(round(side), max(shape))
 
-    def compressed(u):
-        return np.where(np.abs(u) > 1, np.sign(u) * (1 + np.log(np.maximum(np.abs(u), 1))), u)
+    def corner(box, side):
+        return np.array([(box[0] + box[2] - side) // 2, (box[1] + box[3] - side) // 2])
 
-    def right(d, low, high):
-        return np.where(d > 0, compressed(scaled(d, low, high)), 0.0)
+    def right(box, shape, side=None):
+        side = side_of(box, shape) if side is None else side
+        top, left = np.clip(corner(box, side), 0, np.array(shape) - side)
+        return np.array([top, left, side])
 
-    def jumping(u):
-        return np.where(np.abs(u) > 1, np.sign(u) * np.log(np.maximum(np.abs(u), 1)), u)
+    def with_side(find):
+        return lambda box, shape: right(box, shape, find(box, shape))
 
-    def linear(d, low, high):
-        return 2 * (d - low) / (high - low) - 1
+    def about(middle):
+        def attempt(box, shape):
+            side = side_of(box, shape)
+            return np.array([*np.clip(middle(np.array(box), side), 0, np.array(shape) - side), side])
 
-    rng = np.random.default_rng(3)
-    depth = rng.uniform(0.5, 0.9, (5, 7))
-    depth[0, :3], depth[2, 4], depth[4, 0] = 0, 6.0, 0.1  # missing; a room behind; a stray before
+        return attempt
+
+    cases = [
+        ((40, 60, 60, 90), (200, 300)),  # in the middle of nowhere
+        ((10, 100, 50, 120), (200, 300)),  # tall, near the upper border
+        ((170, 280, 194, 298), (200, 300)),  # small, in a corner: the least side counts
+    ]
     mistakes = {
-        "that is a straight line in metres: take the logarithm of depth": lambda d, a, b: np.where(
-            d > 0, linear(d, a, b), 0.0
+        "it must lie in the frame: move it, without changing its side": lambda b, s: np.array(
+            [*corner(b, side_of(b, s)), side_of(b, s)]
         ),
-        "a straight line in metres, compressed: take the logarithm first": lambda d, a, b: np.where(
-            d > 0, compressed(linear(d, a, b)), 0.0
+        "the side is twice the *longer* side of the box": with_side(
+            lambda b, s: max(2 * min(b[2] - b[0], b[3] - b[1]), round(0.2 * max(s)))
         ),
-        "what lies beyond the bounds is not compressed: a room would take up many units": lambda d, a, b: np.where(
-            d > 0, scaled(d, a, b), 0.0
+        "the side is twice the box's height: a wide blob would not fit": with_side(
+            lambda b, s: max(2 * (b[2] - b[0]), round(0.2 * max(s)))
         ),
-        "what lies beyond the bounds is clipped: it cannot be inverted": lambda d, a, b: np.where(
-            d > 0, np.clip(scaled(d, a, b), -1, 1), 0.0
+        "the side is twice the box's width: a tall blob would not fit": with_side(
+            lambda b, s: max(2 * (b[3] - b[1]), round(0.2 * max(s)))
         ),
-        "beyond the bounds the map jumps: it is 1 + ln(abs(u)), which is 1 at abs(u) = 1": lambda d, a, b: np.where(
-            d > 0, jumping(scaled(d, a, b)), 0.0
+        "there is no room around the blob: the side is twice that of the box": with_side(
+            lambda b, s: side_of(b, s, margin=1)
         ),
-        "only the far side is compressed; near strays need it, too": lambda d, a, b: np.where(
-            d > 0, np.where(scaled(d, a, b) > 0, right(d, a, b), scaled(d, a, b)), 0.0
+        "the side is at least a fifth of the frame's longer side": with_side(lambda b, s: side_of(b, s, least=0)),
+        "a fifth of the frame's *longer* side, not of the shorter": with_side(
+            lambda b, s: max(2 * max(b[2] - b[0], b[3] - b[1]), round(0.2 * min(s)))
         ),
-        "missing pixels (0) should become 0": lambda d, a, b: compressed(scaled(d, a, b)),
-        "that maps to [0, 1]; low should become -1 and high 1": lambda d, a, b: np.where(
-            d > 0, (right(d, a, b) + 1) / 2, 0.0
-        ),
-        "the sign is reversed: low should become -1": lambda d, a, b: -right(d, a, b),
-        "the half range is ln(high / low) / 2: low becomes -1/2 with the whole": lambda d, a, b: np.where(
-            d > 0, compressed(scaled(d, a, b) / 2), 0.0
-        ),
-        "the middle is the geometric mean, sqrt(low high), not the mean": lambda d, a, b: np.where(
-            d > 0,
-            compressed(scaled(d, a, b) + (np.log(a * b) / 2 - np.log((a + b) / 2)) / (np.log(b / a) / 2)),
-            0.0,
+        "the box should lie in the middle, not in the upper left corner": about(lambda b, side: b[:2]),
+        "rows and columns are swapped": lambda b, s: right(b, s)[[1, 0, 2]],
+        "the order is top, left, side": lambda b, s: right(b, s)[[2, 0, 1]],
+        "that are the ends of the square; top, left and side are wanted": lambda b, s: np.array(
+            [*right(b, s)[:2], *(right(b, s)[:2] + right(b, s)[2])]
         ),
     }
-    cases = [(depth, 0.45, 0.95), (depth.T, 0.6, 0.8)]
-    return check("normalisation", attempt, right, cases, mistakes, rtol=1e-5)
+    return check("window of a blob", attempt, right, cases, mistakes, rtol=1e-9)
 
 
 def check_given(attempt: Function) -> bool:

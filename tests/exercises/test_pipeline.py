@@ -4,21 +4,16 @@ import numpy as np
 import torch
 from checker_cases import checker_tests
 
-from ditr_lite import conditioning, pipeline
+from ditr_lite import conditioning, pipeline, windows
 from ditr_lite.evaluation.costs import count_flops
 from ditr_lite.exercises import pipeline as checks
 
 
-def scaled(depth, low, high):
-    middle, half = np.sqrt(low * high), np.sqrt(high / low)
-    return np.log(np.where(depth > 0, depth, middle) / middle) / np.log(half)
-
-
-def normalise(depth, low, high):
-    u = scaled(depth, low, high)
-    beyond = np.abs(u) > 1
-    u[beyond] = np.sign(u[beyond]) * (1 + np.log(np.abs(u[beyond])))
-    return u
+def square(box, shape):
+    top, left, bottom, right = box
+    side = min(int(max(2 * (bottom - top), 2 * (right - left), max(shape) // 5)), max(shape))
+    top = max(0, min((top + bottom - side) // 2, shape[0] - side))
+    return top, max(0, min((left + right - side) // 2, shape[1] - side)), side
 
 
 def given(depth, region):
@@ -40,31 +35,25 @@ def conv_flops(channels_in, channels_out, kernel, height, width, stride):
 
 
 RIGHT = {
-    checks.check_normalise: normalise,
+    checks.check_square: square,
     checks.check_given: given,
     checks.check_spread: spread,
     checks.check_conv_flops: conv_flops,
 }
 
 
-def read_only(formula):
-    return lambda d, low, high: np.where(d > 0, formula(d, low, high), 0.0)
+def unmoved(box, shape):
+    side = square(box, shape)[2]
+    return (box[0] + box[2] - side) // 2, (box[1] + box[3] - side) // 2, side
 
 
-def straight(depth, low, high):
-    return 2 * (depth - low) / (high - low) - 1
+def square_with(side):
+    return lambda box, shape: moved(box, shape, side(box[2] - box[0], box[3] - box[1], shape))
 
 
-def squeezed(u):
-    return np.where(np.abs(u) > 1, np.sign(u) * (1 + np.log(np.maximum(np.abs(u), 1))), u)
-
-
-def about_the_mean(depth, low, high):
-    return squeezed((np.log(np.where(depth > 0, depth, 1)) - np.log((low + high) / 2)) / (np.log(high / low) / 2))
-
-
-def missing_left(depth, low, high):
-    return squeezed((np.log(np.where(depth > 0, depth, 1)) - np.log(low * high) / 2) / (np.log(high / low) / 2))
+def moved(box, shape, side):
+    starts = [(box[k] + box[k + 2] - side) // 2 for k in (0, 1)]
+    return (*(max(0, min(start, n - side)) for start, n in zip(starts, shape, strict=True)), side)
 
 
 def given_with(known=None, evidence=None):
@@ -86,18 +75,26 @@ def given_in_place(depth, region):
 
 
 MISTAKES = [
-    (checks.check_normalise, read_only(straight), "take the logarithm of depth"),
-    (checks.check_normalise, read_only(lambda *a: squeezed(straight(*a))), "take the logarithm first"),
-    (checks.check_normalise, scaled, "is not compressed"),
-    (checks.check_normalise, lambda *a: np.clip(scaled(*a), -1, 1), "is clipped"),
-    (checks.check_normalise, lambda *a: normalise(*a) - np.trunc(np.clip(scaled(*a), -1, 1)), "jumps"),
-    (checks.check_normalise, lambda *a: np.where(scaled(*a) < 0, scaled(*a), normalise(*a)), "near strays"),
-    (checks.check_normalise, missing_left, "should become 0"),
-    (checks.check_normalise, read_only(lambda *a: (normalise(*a) + 1) / 2), "[0, 1]"),
-    (checks.check_normalise, lambda *a: -normalise(*a), "sign"),
-    (checks.check_normalise, lambda *a: squeezed(scaled(*a) / 2), "half range"),
-    (checks.check_normalise, read_only(about_the_mean), "geometric mean"),
-    (checks.check_normalise, lambda d, low, high: normalise(d, low, high).ravel(), "shape"),
+    (checks.check_square, unmoved, "move it"),
+    (checks.check_square, square_with(lambda h, w, s: max(2 * min(h, w), max(s) // 5)), "*longer* side of the box"),
+    (checks.check_square, square_with(lambda h, w, s: max(2 * h, max(s) // 5)), "a wide blob would not fit"),
+    (checks.check_square, square_with(lambda h, w, s: max(2 * w, max(s) // 5)), "a tall blob would not fit"),
+    (checks.check_square, square_with(lambda h, w, s: max(h, w, max(s) // 5)), "no room around"),
+    (checks.check_square, square_with(lambda h, w, s: 2 * max(h, w)), "at least a fifth"),
+    (checks.check_square, square_with(lambda h, w, s: max(2 * h, 2 * w, min(s) // 5)), "not of the shorter"),
+    (
+        checks.check_square,
+        lambda b, s: moved((*b[:2], *(np.array(b[:2]) + square(b, s)[2])), s, square(b, s)[2]),
+        "middle",
+    ),
+    (checks.check_square, lambda b, s: (*square(b, s)[1::-1], square(b, s)[2]), "swapped"),
+    (checks.check_square, lambda b, s: (square(b, s)[2], *square(b, s)[:2]), "the order is"),
+    (
+        checks.check_square,
+        lambda b, s: (*square(b, s)[:2], *np.add(square(b, s)[:2], square(b, s)[2])),
+        "ends of the square",
+    ),
+    (checks.check_square, lambda b, s: square(b, s)[2], "shape"),
     (checks.check_given, lambda d, r: given(d, r)[::-1], "swapped"),
     (checks.check_given, lambda d, r: given(d, ~r), "swapped"),
     (checks.check_given, given_with(known=lambda d, r: d > 0), "leaks in"),
@@ -151,10 +148,9 @@ def test_counting_by_hand_agrees_with_the_counter():
         assert conv_flops(*case) == count_flops(conv, torch.zeros(1, channels_in, height, width))
 
 
-def test_the_frame_of_reference_is_the_systems():
-    depth = np.array([[0.0, 0.5, 0.62, 0.7], [0.8, 0.9, 9.0, 0.1]])
-    bounds = conditioning.depth_bounds(depth)
-    np.testing.assert_allclose(normalise(depth, bounds.low, bounds.high), bounds.normalise(depth), atol=1e-9)
+def test_the_window_of_a_blob_is_the_systems():
+    for box, shape in [((40, 60, 60, 90), (200, 300)), ((10, 100, 50, 120), (200, 300)), ((3, 0, 9, 4), (100, 150))]:
+        assert windows.square(np.array(box), shape) == windows.Window(*square(box, shape))
 
 
 def test_the_exercises_are_what_the_pipeline_does():
