@@ -36,9 +36,9 @@ def check_square(attempt: Function) -> bool:
         return attempt
 
     cases = [
-        ((40, 60, 60, 90), (200, 300)),  # in the middle of nowhere
-        ((10, 100, 50, 120), (200, 300)),  # tall, near the upper border
-        ((170, 280, 194, 298), (200, 300)),  # small, in a corner: the least side counts
+        ((40, 60, 60, 130), (200, 300)),  # wide
+        ((10, 100, 90, 130), (200, 300)),  # tall, near the upper border
+        ((180, 280, 190, 292), (200, 300)),  # small, in a corner: the least side counts
     ]
     mistakes = {
         "it must lie in the frame: move it, without changing its side": lambda b, s: np.array(
