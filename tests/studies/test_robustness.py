@@ -189,6 +189,17 @@ def test_linear_interpolation_continues_a_plane_through_the_region():
     np.testing.assert_allclose(robustness.linear(frame), plane, atol=1e-6)
 
 
+def test_linear_interpolation_can_be_scored_where_readings_are_few():
+    v, u = np.mgrid[:40, :60]
+    plane = (0.5 + 0.002 * u + 0.001 * v).astype(np.float32)
+    region = (np.abs(u - 30) < 8) & (np.abs(v - 20) < 6)
+    read = (u % 7 == 0) & (v % 5 == 0) & ~region
+    frame = Sample("plane", np.zeros((40, 60, 3), np.uint8), np.where(read, plane, np.float32(0)), plane, region)
+    depth = robustness.linear(frame)
+    assert (depth > 0).all() and (depth[read] == plane[read]).all()
+    np.testing.assert_allclose(depth[region], plane[region], atol=1e-6)
+
+
 def test_the_table_pairs_frames_with_themselves():
     plain, worse = [0.01, 0.10, None], [0.02, 0.20, 0.3]
     rows = {"x": {r: {"disturbed_m": worse, "undisturbed_m": plain} for r in robustness.REGIONS}}
