@@ -315,8 +315,8 @@ def _error(depth: np.ndarray, frame: Sample, scale: float = 1.0) -> float | None
 def linear(frame: Sample) -> np.ndarray:
     """Return depth (H, W) that is interpolated linearly, inside the region, between the readings outside of it.
 
-    Between the corners of a Delaunay triangulation; beyond its border the nearest reading counts. Outside the region
-    the readings are returned as they are, 0 where there are none.
+    Between the corners of a Delaunay triangulation; beyond its border, and in holes outside the region, the nearest
+    reading counts. The result is dense.
     """
     places = np.argwhere((frame.depth > 0) & ~frame.region)
     readings = frame.depth[tuple(places.T)].astype(np.float64)
@@ -324,7 +324,7 @@ def linear(frame: Sample) -> np.ndarray:
     found = LinearNDInterpolator(places, readings)(wanted)
     beyond = np.isnan(found)
     found[beyond] = NearestNDInterpolator(places, readings)(wanted[beyond])
-    depth = frame.depth.copy()
+    depth = REGISTRY["nearest"](frame.rgb, frame.depth, frame.region)
     depth[frame.region] = found
     return depth
 
