@@ -621,7 +621,7 @@ INPUTS = [
         "evaluation/stage_one",
         (
             "overlap: after refinement",
-            "metrics.iou(out.probability > 0.5, sample.region)",
+            "metrics.iou(out.probability > ditr.config.refine.threshold, sample.region)",
             "metrics.iou(out.region, sample.region)",
         ),
     ),
