@@ -353,21 +353,22 @@ def summarise_disturbances(rows: Mapping[str, Any]) -> dict[str, Any]:
 
 def format_disturbances(table: Mapping[str, Any]) -> str:
     """Return :func:`summarise_disturbances`' table as text."""
-    width = max(len(name) for name in table)
-    lines = [" " * width + "".join(f"{f'region {r}: mm':>16}{'ratio to undisturbed':>24}" for r in REGIONS)]
+    beside = "  over linear interpolation"
+    width = max(len(name) for name in (*table, beside))
+    lines = [" " * width + "".join(f"{f'region {r}: mm':>20}{'ratio to undisturbed':>24}" for r in REGIONS)]
     for name, regions in table.items():
         line = name.ljust(width)
         for region in REGIONS:
             entry = regions[region]
             level = "-" if entry["rmse_m"] is None else f"{1000 * entry['rmse_m'][0]:.1f}"
-            line += level.rjust(16) + format_interval(entry["ratio"], style=".2f").rjust(24)
+            line += level.rjust(20) + format_interval(entry["ratio"], style=".2f").rjust(24)
         lines.append(line)
         if "of_linear" in regions["found"]:
-            line = "  over linear interpolation".ljust(width)
+            line = beside.ljust(width)
             for region in REGIONS:
                 entry = regions[region]
                 level = "-" if entry["linear_m"] is None else f"{1000 * entry['linear_m'][0]:.1f}"
-                line += level.rjust(16) + format_interval(entry["of_linear"], style=".2f").rjust(24)
+                line += level.rjust(20) + format_interval(entry["of_linear"], style=".2f").rjust(24)
             lines.append(line)
     return "\n".join(lines)
 

@@ -146,8 +146,14 @@ def compare(sample: Sample, predictions: Mapping[str, np.ndarray], error_mm: flo
     return grid([top, errors], sample.depth_gt, sample.region, error_mm=error_mm)
 
 
-def contact_sheet(samples: Sequence[Sample], columns: int = 6) -> Picture:
-    """Draw many samples small: colour with region outline above raw depth above ground truth, limits shared by all."""
+def contact_sheet(samples: Sequence[Sample], columns: int = 6, shared: bool = True) -> Picture:
+    """Draw many samples small: colour with region outline above raw depth above ground truth.
+
+    Args:
+        samples: what to draw.
+        columns: samples beside each other.
+        shared: give all depths the same limits and one bar; otherwise each sample has the limits of its own truth.
+    """
     if not samples:
         raise ValueError("no samples to draw")
     truths = [s.depth_gt if s.depth_gt is not None else s.depth for s in samples]
@@ -163,9 +169,12 @@ def contact_sheet(samples: Sequence[Sample], columns: int = 6) -> Picture:
         block, column = divmod(k, columns)
         three = axes[3 * block : 3 * block + 3, column]
         rgb(three[0], sample.rgb, sample.region, sample.name)
-        depth(three[1], sample.depth, (low, high), "raw", bar=False)
+        limits = (low, high) if shared else depth_limits(truths[k])
+        depth(three[1], sample.depth, limits, "raw", bar=False)
         if sample.depth_gt is not None:
-            depth(three[2], sample.depth_gt, (low, high), "truth", bar=False)
+            depth(three[2], sample.depth_gt, limits, "truth", bar=False)
+    if not shared:
+        return figure
     colours = ScalarMappable(Normalize(low, high), colours_of("depth"))
     figure.colorbar(colours, ax=axes, label=BARS["depth"], extend="both", shrink=0.5, aspect=40)
     return figure

@@ -210,6 +210,7 @@ def test_the_table_pairs_frames_with_themselves():
     assert table["300 readings"]["given"]["of_linear"] == [0.5, 0.5, 0.5]
     text = robustness.format_disturbances(table)
     assert text.count("2.00 [2.00, 2.00]") == 4 and text.count("0.50 [0.50, 0.50]") == 2 and "173.3" in text
+    assert len({len(line) for line in text.splitlines()}) == 1 and "undisturbed  " in text.splitlines()[0]
 
 
 def test_disturbances_are_run_with_the_region_found_and_given(tiny):

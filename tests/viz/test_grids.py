@@ -200,6 +200,19 @@ def test_contact_sheet_shows_all_samples_and_one_bar(sample):
         viz.contact_sheet([])
 
 
+def test_contact_sheet_can_give_each_sample_limits_of_its_own(sample):
+    far = replace(sample, name="far", depth=10 * sample.depth, depth_gt=10 * sample.depth_gt)
+
+    def limits(shared):
+        shown = images_of(viz.contact_sheet([sample, far], shared=shared))
+        return [image.get_clim() for ax, image in shown if ax.get_title().startswith("truth")]
+
+    assert limits(True)[0] == limits(True)[1]
+    near, distant = limits(False)
+    assert distant == pytest.approx([10 * limit for limit in near], rel=1e-4)
+    assert not any(ax.get_ylabel() == "depth (m)" for ax in viz.contact_sheet([sample, far], shared=False).axes)
+
+
 def test_the_side_view_plots_z_against_y(ax, sample):
     n = viz.point_cloud_side(ax, sample.depth, sample.camera, mask=sample.region, label="raw")
     assert n == (sample.region & (sample.depth > 0)).sum()
