@@ -82,7 +82,12 @@ def batch_of(views: list[View], backend: Backend | None = None, around: bool = F
 
 
 def draw_frames(
-    pool: Pool, count: int, size: tuple[int, int], rng: np.random.Generator, backend: Backend | None = None
+    pool: Pool,
+    count: int,
+    size: tuple[int, int],
+    rng: np.random.Generator,
+    backend: Backend | None = None,
+    still: bool = False,
 ) -> Batch:
     """Draw whole frames, moved, turned and disturbed.
 
@@ -92,8 +97,9 @@ def draw_frames(
         size: (H, W) of the views.
         rng: everything random comes from it, so a step can be drawn again when training resumes.
         backend: finds the guides; None leaves them out.
+        still: do not move or turn them.
     """
-    return batch_of([disturb(frame_view(*pool.pick(rng), size, rng), rng) for _ in range(count)], backend)
+    return batch_of([disturb(frame_view(*pool.pick(rng), size, rng, still), rng) for _ in range(count)], backend)
 
 
 def draw_windows(pool: Pool, count: int, side: int, rng: np.random.Generator, backend: Backend | None = None) -> Batch:

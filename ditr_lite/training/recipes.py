@@ -26,6 +26,7 @@ from .scenes import Pool
 
 CLASS_WEIGHTS = (0.4, 1.0, 1.0)  # background, transparent, reflective
 FROZEN_STAGES = 2  # of the pretrained encoder, in stage one: what edges look like is known, and these cost most
+STILL, STILL_SHARE = 0.25, 0.7  # last part of stage one's training, and the share of its batches, in which frames stay
 CROP = 64  # pixels a side that the autoencoder sees: it is convolutional
 LAST_STEP_SHARE = 0.5  # of a batch is noised fully: one-step sampling begins, and ends, there
 StepLoss = Callable[[int], dict[str, Tensor]]
@@ -45,12 +46,17 @@ def rng_of(seed: int, step: int) -> np.random.Generator:
 
 
 def region_step(model: nn.Module, pool: Pool, config: Config, recipe: Recipe, seed: int = 0) -> StepLoss:
-    """Stage one: three classes, deep supervision, boundary loss (Paper: Sec. IV-B)."""
+    """Stage one: three classes, deep supervision, boundary loss (Paper: Sec. IV-B).
+
+    Variety first, then frames as they will be met: in the last :data:`STILL` of the steps most frames are not moved.
+    """
     weight = torch.tensor(CLASS_WEIGHTS)
     freeze_early(model)
 
     def step_loss(step: int) -> dict[str, Tensor]:
-        batch = draw_frames(pool, recipe.batch, config.size, rng_of(seed, step))
+        rng = rng_of(seed, step)
+        still = step >= (1 - STILL) * recipe.steps and rng.random() < STILL_SHARE
+        batch = draw_frames(pool, recipe.batch, config.size, rng, still=still)
         return region_loss(model(cl(batch.rgb), batch.depth_n, batch.valid), batch.material, weight)
 
     return step_loss

@@ -85,13 +85,17 @@ def turn(rng: np.random.Generator) -> float:
     return float(rng.uniform(-np.pi, np.pi))
 
 
-def frame_view(scenes: Scenes, i: int, size: tuple[int, int], rng: np.random.Generator | None) -> View:
-    """Return a whole scene at ``size``; with ``rng`` zoomed, moved and turned."""
+def frame_view(
+    scenes: Scenes, i: int, size: tuple[int, int], rng: np.random.Generator | None, still: bool = False
+) -> View:
+    """Return a whole scene at ``size``; with ``rng`` zoomed, moved and turned, or, ``still``, mirrored at most."""
     height, width = scenes.depth.shape[1:]
     whole = max(height / size[0], width / size[1])
     centre = ((height - 1) / 2, (width - 1) / 2)
     if rng is None:
         return look(scenes, i, placement(size, centre, whole, 0.0, False), size)
+    if still:
+        return look(scenes, i, placement(size, centre, whole, 0.0, bool(rng.random() < 0.5)), size)
     zoom = float(np.exp(rng.uniform(np.log(0.75), np.log(1.8))))
     free = max(0.1, 1 - 1 / zoom) / 2  # a magnified frame may show any part of the scene
     centre = tuple(c + rng.uniform(-free, free) * n for c, n in zip(centre, (height, width), strict=True))
