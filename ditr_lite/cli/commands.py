@@ -10,7 +10,8 @@ from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 
-SHIPPED = (("test", 128, 4), ("val", 48, 2), ("train", 24, 2))  # data_samples: split, scenes, with infrared pair
+# What is in data_samples: split, scenes, how many with an infrared pair
+SHIPPED = (("test", 128, 4), ("val", 48, 2), ("train", 24, 2), ("rooms", 96, 0), ("rooms_val", 48, 0))
 MAKE_TRAIN = "python -m ditr_lite simulate --split train --count 1500 --out outputs/scenes --workers 2"
 MAKE_VAL = "python -m ditr_lite simulate"
 
