@@ -7,7 +7,7 @@ from pathlib import Path
 
 from .shared import MAX_SEED, SPLITS, check_folder, whole
 
-SHIPPED = (("test", 128, 4), ("val", 48, 2), ("train", 24, 2))  # data_samples: split, scenes, with infrared pair
+SHIPPED = (("test", 128, 4), ("val", 48, 2), ("train", 24, 2), ("rooms", 96, 0), ("rooms_val", 48, 0))
 HOMES = (
     "folder for the split's folder (default outputs/scenes; with --sensor NAME outputs/sensors/NAME; "
     "without --split the folder of the shipped scenes)"

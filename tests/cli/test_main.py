@@ -262,9 +262,8 @@ def test_simulate_calls(monkeypatch, tmp_path, capsys):
 
     monkeypatch.setattr("ditr_lite.simulator.simulate.simulate_many", fake)
     assert main(["simulate", "--workers", "2"]) == 0
-    assert calls == [
-        (data.SAMPLES, s, n, 0, 2, i, None) for s, n, i in (("test", 128, 4), ("val", 48, 2), ("train", 24, 2))
-    ]
+    shipped = (("test", 128, 4), ("val", 48, 2), ("train", 24, 2), ("rooms", 96, 0), ("rooms_val", 48, 0))
+    assert calls == [(data.SAMPLES, s, n, 0, 2, i, None) for s, n, i in shipped]
     calls.clear()
     argv = ["simulate", "--split", "val", "--count", "5", "--first-seed", "9", "--infrared", "1", "--workers", "3"]
     assert main([*argv, "--out", str(tmp_path)]) == 0
