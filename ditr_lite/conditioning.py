@@ -174,7 +174,7 @@ class Frame:
         return smooth
 
 
-def fit(source: tuple[int, int], size: tuple[int, int]) -> Frame:
+def fit_frame(source: tuple[int, int], size: tuple[int, int]) -> Frame:
     """Return the :class:`Frame` that puts an image of (H, W) ``source`` into ``size``, keeping its aspect."""
     scale = min(size[0] / source[0], size[1] / source[1])
     height, width = (max(1, min(limit, round(length * scale))) for length, limit in zip(source, size, strict=True))

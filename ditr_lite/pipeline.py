@@ -19,7 +19,7 @@ from .conditioning import (
     Frame,
     depth_bounds,
     depth_tensors,
-    fit,
+    fit_frame,
     tie,
     to_tensor,
     without_strays,
@@ -403,7 +403,7 @@ class Ditr:
     @torch.no_grad()
     def classify(self, rgb: np.ndarray, depth: np.ndarray) -> tuple[Frame, np.ndarray]:
         """Return how the frame lies in the working size and (classes, h, w) probabilities there, calibrated."""
-        frame = fit(depth.shape, self.config.size)
+        frame = fit_frame(depth.shape, self.config.size)
         small = without_strays(frame.into(depth))
         depth_n, valid = depth_tensors(small, depth_bounds(small))
         image = to_tensor(frame.into(rgb)[None])
@@ -417,7 +417,7 @@ class Ditr:
 
     def boundaries(self, rgb: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return M_RGB, M_D and M_DA of a whole frame, each (H, W) bool, found at the working size."""
-        frame = fit(depth.shape, self.config.size)
+        frame = fit_frame(depth.shape, self.config.size)
         maps = frame.on_picture(boundary_maps, frame.into(rgb), frame.into(depth), backend=self.backend)
         return tuple(frame.back(m) for m in maps)
 
@@ -443,7 +443,7 @@ class Ditr:
             seed: of the noise.
             plan: who paints what, guided by what.
         """
-        frame = fit(depth.shape, self.config.size)
+        frame = fit_frame(depth.shape, self.config.size)
         small = tuple(frame.into(image) for image in (rgb, depth, region))
         views, bounds = self.look([small], plan.guides[1], False)
         mean, spread = self.paint(1, views, bounds, steps, samples, seed, plan)
@@ -475,7 +475,7 @@ class Ditr:
         """
         side, found = self.config.window, []
         for window, pixels in choose_windows(region):
-            inner = fit((window.side, window.side), (side, side))
+            inner = fit_frame((window.side, window.side), (side, side))
             read = window.cut(depth)
             if not read.any():
                 read = window.cut(spare)

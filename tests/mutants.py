@@ -414,7 +414,7 @@ REGION = [
     *family(
         "prices of mistakes",
         "studies/robustness",
-        ("distance: not relative", "frame.region) / scale, 6)", "frame.region) * scale, 6)"),
+        ("distance: not relative", "frame.depth_gt[scored]) / scale, 6)", "frame.depth_gt[scored]) * scale, 6)"),
         ("strays: on glass", "(sample.depth > 0) & ~sample.region)", "(sample.depth > 0) & sample.region)"),
         ("room: its glass counts", "sample.region & (column > share + border)", "sample.region"),
     ),

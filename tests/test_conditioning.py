@@ -12,7 +12,7 @@ from ditr_lite.conditioning import (
     depth_bounds,
     depth_tensors,
     fill,
-    fit,
+    fit_frame,
     pool_readings,
     strays,
     tie,
@@ -132,7 +132,7 @@ def test_depth_without_a_reading_is_refused():
 @settings(deadline=None)
 @given(SIZES)
 def test_any_size_fits_with_its_aspect_and_comes_back(source):
-    frame = fit(source, (64, 96))
+    frame = fit_frame(source, (64, 96))
     assert 1 <= frame.height <= 64 and 1 <= frame.width <= 96 and (frame.height == 64 or frame.width == 96)
     scales = frame.height / source[0], frame.width / source[1]
     assert abs(scales[0] - scales[1]) * max(source) <= max(source) / min(source) + 1  # equal but for rounding
@@ -145,7 +145,7 @@ def test_any_size_fits_with_its_aspect_and_comes_back(source):
 
 def test_depth_is_never_averaged_and_missing_stays_missing():
     depth = np.random.default_rng(0).choice([0, 0.5, 2.0], (120, 170)).astype(np.float32)
-    frame = fit(depth.shape, (64, 96))
+    frame = fit_frame(depth.shape, (64, 96))
     assert set(np.unique(frame.into(depth))) == {0, np.float32(0.5), 2}
     assert frame.into(np.full((120, 170, 3), 9, np.uint8)).shape == (64, 96, 3)
 
@@ -157,7 +157,7 @@ def test_sparse_readings_survive_the_way_into_the_working_size(seed, count):
     depth = np.zeros((240, 320), np.float32)
     at = rng.integers(0, 240, count), rng.integers(0, 320, count)
     depth[at] = rng.uniform(0.3, 3, count)
-    frame = fit(depth.shape, (64, 96))
+    frame = fit_frame(depth.shape, (64, 96))
     small = frame.into(depth)
     for y, x in zip(*at, strict=True):
         assert small[int((y + 0.5) * frame.height / 240), int((x + 0.5) * frame.width / 320)] > 0
@@ -168,7 +168,7 @@ def test_sparse_readings_survive_the_way_into_the_working_size(seed, count):
 def test_scan_lines_survive_and_the_reading_closest_to_the_centre_counts():
     lines = np.zeros((240, 320), np.float32)
     lines[3::11] = 1.5
-    assert (fit(lines.shape, (64, 96)).into(lines) > 0).sum() > 20 * 80
+    assert (fit_frame(lines.shape, (64, 96)).into(lines) > 0).sum() > 20 * 80
     image, small = np.zeros((8, 8), np.float32), np.zeros((2, 2), np.float32)
     image[0, 0], image[1, 2], image[7, 7] = 1.0, 2.0, 3.0
     small[1, 0] = 9.0
@@ -181,7 +181,7 @@ def test_scan_lines_survive_and_the_reading_closest_to_the_centre_counts():
 
 def test_way_back_is_smooth_on_surfaces_and_sharp_at_jumps():
     ramp = np.tile(np.linspace(1, 1.2, 96, dtype=np.float32), (64, 1))
-    frame = fit((128, 192), (64, 96))
+    frame = fit_frame((128, 192), (64, 96))
     fine = frame.back(ramp)[0]
     assert np.abs(np.diff(fine, 2)).max() < 1e-3 and len(np.unique(fine)) > 150  # no staircase
     step = np.where(np.arange(96) < 48, np.float32(0.5), np.float32(1.0)) * np.ones((64, 1), np.float32)
@@ -190,12 +190,12 @@ def test_way_back_is_smooth_on_surfaces_and_sharp_at_jumps():
 
 def test_at_the_working_size_a_map_comes_back_as_a_copy_of_itself():
     depth = np.random.default_rng(0).random((64, 96)).astype(np.float32)
-    back = fit((64, 96), (64, 96)).back(depth)
+    back = fit_frame((64, 96), (64, 96)).back(depth)
     assert np.array_equal(back, depth) and not np.shares_memory(back, depth)
 
 
 def test_what_is_found_on_the_picture_never_sees_its_padding():
-    frame = fit((72, 128), (96, 128))
+    frame = fit_frame((72, 128), (96, 128))
     seen = []
 
     def find(image, depth, factor):

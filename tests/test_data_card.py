@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ditr_lite.cli import commands
+from ditr_lite.cli import simulate
 from ditr_lite.data import OPAQUE, ROOM_SPLITS, SAMPLES, SPLITS, list_samples, load_sample
 from ditr_lite.loss_types import Cause, LossType, label
 from ditr_lite.simulator import simulate, textures

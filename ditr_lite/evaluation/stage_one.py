@@ -6,7 +6,7 @@ Paper: Sec. IV-B, "the misclassified pixels can greatly harm the performance of 
 import numpy as np
 
 from .. import metrics
-from ..conditioning import fit
+from ..conditioning import fit_frame
 from ..data import REFLECTIVE, TRANSPARENT, Sample
 from ..pipeline import Completion, Ditr
 
@@ -19,7 +19,7 @@ def stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | 
     """Return how well the region was found; None when it was given or is not known."""
     if out.probability is None or sample.region is None:
         return None
-    frame = fit(sample.depth.shape, ditr.config.size)
+    frame = fit_frame(sample.depth.shape, ditr.config.size)
     refined = frame.back(ditr.refine(frame.into(sample.region)) & frame.picture)
     scores = {
         "iou": metrics.iou(out.probability > ditr.config.refine.threshold, sample.region),

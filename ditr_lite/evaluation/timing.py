@@ -22,7 +22,7 @@ import torch
 from torch import Tensor, nn
 from tqdm.auto import tqdm
 
-from ..conditioning import CHANNELS, condition, fit
+from ..conditioning import CHANNELS, condition, fit_frame
 from ..data import SAMPLES, Sample
 from ..pipeline import Ditr
 from ..stage_two import BRANCHES, Painter, Plan, Views, denoise, encode_picture, sharpen
@@ -183,7 +183,7 @@ def views_of(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray)
     Returns:
         branch -> views; no optical one where windows are used and the region is empty.
     """
-    frame = fit(depth.shape, ditr.config.size)
+    frame = fit_frame(depth.shape, ditr.config.size)
     whole = [tuple(frame.into(image) for image in (rgb, depth, region))]
     guides = Plan().guides
     found = {"geometric": ditr.look(whole, guides[1], False)[0]}

@@ -25,7 +25,7 @@ from torch import Tensor, nn
 
 from ..baselines import Fill
 from ..boundary import M_RGB, boundary_maps, get_backend
-from ..conditioning import CHANNELS, Bounds, depth_bounds, depth_tensors, fill, fit, to_tensor, without_strays
+from ..conditioning import CHANNELS, Bounds, depth_bounds, depth_tensors, fill, fit_frame, to_tensor, without_strays
 from ..config import Config, from_dict
 from ..evaluation.protocols import fitted
 from ..pipeline import build
@@ -142,7 +142,7 @@ class Peer:
     @torch.no_grad()
     def __call__(self, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray | None = None) -> np.ndarray:
         """Return (H, W) float32 metres, dense. ``region`` only says which readings a fit or a solve must not trust."""
-        frame = fit(depth.shape, self.config.size)
+        frame = fit_frame(depth.shape, self.config.size)
         picture = frame.into(rgb)
         small = without_strays(frame.into(depth))
         bounds = depth_bounds(small)

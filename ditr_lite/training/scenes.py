@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from tqdm.auto import tqdm
 
-from ..conditioning import fit
+from ..conditioning import fit_frame
 from ..data import read_sample
 
 MAPS = ("rgb", "depth", "depth_gt", "material", "instances")  # what every scene has
@@ -97,7 +97,7 @@ def _millimetres(depth_m: np.ndarray) -> np.ndarray:
 
 def shrink(scenes: Scenes, size: tuple[int, int]) -> Scenes:
     """Return scenes at a working size, brought there as the system brings a frame there."""
-    frame = fit(scenes.depth.shape[1:], size)
+    frame = fit_frame(scenes.depth.shape[1:], size)
     small = {name: np.stack([frame.into(image) for image in getattr(scenes, name)]) for name in MAPS}
     return Scenes(names=scenes.names, **small)
 
