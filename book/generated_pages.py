@@ -30,8 +30,8 @@ def write_all(root: Path, source: Path, notebooks: list[str]) -> None:
         ValueError: when README.md lacks a section that the book shows.
     """
     readme = (root / "README.md").read_text(encoding="utf-8")
-    shutil.copy(root / "data_samples" / "result.png", source)
-    shutil.copy(root / "data_samples" / "contact_sheet.png", source)
+    for name in ("result.png", "contact_sheet.png", "contact_sheet_rooms.png"):
+        shutil.copy(root / "data_samples" / name, source)
     table = _links(_section(readme, "The notebooks"), notebooks)
     order = _contents({name: f"{name[:2]} · {_title(root, name)}" for name in notebooks}, "Notebooks", "notebooks/")
     guides = {path.stem: "" for path in sorted((source / "notebooks").glob("*.md"))}

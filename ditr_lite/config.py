@@ -5,12 +5,20 @@ what the paper states (Sec. IV and V-B) wherever it states something.
 """
 
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 
 def _at_least(minimum: int, group: str, **values: int) -> None:
     if wrong := [f"{name} {value}" for name, value in values.items() if value < minimum]:
         raise ValueError(f"{group}: expected at least {minimum}, got {', '.join(wrong)}")
+
+
+def _at_most(maximum: int, group: str, **values: int) -> None:
+    if wrong := [f"{name} {value}" for name, value in values.items() if value > maximum]:
+        raise ValueError(f"{group}: expected at most {maximum}, got {', '.join(wrong)}")
+
+
+WIDEST = 512  # channels of a first level
 
 
 @dataclass(frozen=True)
@@ -21,6 +29,11 @@ class RegionConfig:
     levels: int = 4  # strides 2, 4, 8, 16
     classes: int = 3  # background, transparent, reflective
     colour: str = "pretrained"  # encoder of the picture: "pretrained" (on ImageNet) or "scratch" (as for depth)
+
+    def __post_init__(self) -> None:
+        _at_least(1, "region", width=self.width, levels=self.levels, classes=self.classes)
+        _at_most(6, "region", levels=self.levels)  # channels double with each: more would not fit into any memory
+        _at_most(WIDEST, "region", width=self.width)
 
 
 @dataclass(frozen=True)
@@ -54,6 +67,8 @@ class AutoencoderConfig:
 
     def __post_init__(self) -> None:
         _at_least(1, "autoencoder", latent_channels=self.latent_channels, codes=self.codes, width=self.width)
+        _at_most(WIDEST, "autoencoder", latent_channels=self.latent_channels, width=self.width)
+        _at_most(2**20, "autoencoder", codes=self.codes)
         _at_least(1, "autoencoder.multipliers", smallest=min(self.multipliers, default=1))
 
 
@@ -87,6 +102,7 @@ class UNetConfig:
 
     def __post_init__(self) -> None:
         _at_least(1, "unet", width=self.width, heads=self.heads, cond_channels=self.cond_channels)
+        _at_most(WIDEST, "unet", width=self.width, heads=self.heads, cond_channels=self.cond_channels)
         _at_least(1, "unet.multipliers", levels=len(self.multipliers), smallest=min(self.multipliers, default=1))
 
 
@@ -238,16 +254,16 @@ def _override(values: dict[str, Any], node: Any, path: list[str], value: Any, ke
         return _override(values[path[0]], old, path[1:], value, key)
     if is_dataclass(old):
         raise ValueError(f"setting {key!r} is a group; set one of {', '.join(key + '.' + f.name for f in fields(old))}")
-    values[path[0]] = _convert(value, old, key)
+    values[path[0]] = _convert(value, old, get_type_hints(type(node))[path[0]], key)
 
 
-def _convert(value: Any, old: Any, key: str) -> Any:
+def _convert(value: Any, old: Any, kind: Any, key: str) -> Any:
     try:
         if isinstance(old, bool):
             return {"true": True, "1": True, "false": False, "0": False}[str(value).lower()]
         if isinstance(old, tuple):
             parts = value.split(",") if isinstance(value, str) else value
-            return tuple(_number(p, type(old[0])) for p in parts)
+            return tuple(_number(p, get_args(kind)[0]) for p in parts)  # as declared: the old one may be empty
         return _number(value, type(old))
     except (KeyError, TypeError, ValueError):
         raise ValueError(f"setting {key!r} expects {type(old).__name__} like {old!r}, got {value!r}") from None
@@ -259,6 +275,17 @@ def _number(value: Any, kind: type) -> Any:
     return kind(value)
 
 
+def _is_like(value: Any, current: Any) -> bool:
+    """Return whether a value has the type of a setting: JSON's list may be a tuple, a whole number may be a float."""
+    if is_dataclass(current):
+        return isinstance(value, dict)
+    if isinstance(current, tuple):
+        return isinstance(value, list | tuple) and all(_is_like(v, current[0]) for v in value) if current else True
+    if isinstance(current, bool) or isinstance(value, bool):
+        return isinstance(value, bool) and isinstance(current, bool)
+    return isinstance(value, int | float if isinstance(current, float) else type(current))
+
+
 def _build(kind: type, values: dict[str, Any]) -> Any:
     known = {f.name: f for f in fields(kind)}
     unknown = set(values) - set(known)
@@ -268,6 +295,8 @@ def _build(kind: type, values: dict[str, Any]) -> Any:
     built = {}
     for name, value in values.items():
         current = getattr(default, name)
+        if not _is_like(value, current):
+            raise ValueError(f"{kind.__name__}.{name} should be like {current!r}, got {value!r}")
         built[name] = _build(type(current), value) if is_dataclass(current) else value
         if isinstance(current, tuple):
             built[name] = tuple(value)

@@ -4,7 +4,6 @@ Depth is float32 metres and 0 means missing, in raw depth and in ground truth al
 """
 
 import json
-import shutil
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from .camera import Camera, Stereo
+from .files import folder_written_whole, read_array, read_json, read_labels, read_rgb, write_picture
 from .units import clean_depth, depth_to_png
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data_samples"
@@ -65,27 +65,34 @@ def save_sample(sample: Sample, folder: Path | str, jpeg_quality: int = 92) -> N
     """Write ``sample`` as a folder of images and ``meta.json``; it appears whole or not at all.
 
     Files: ``rgb.jpg``, ``depth.png`` and ``depth_gt.png`` (16 bit, millimetres), 8-bit PNG labels, ``meta.json``.
+
+    Args:
+        sample: to write.
+        folder: for its files; a sample that is there is replaced, anything else refused.
+        jpeg_quality: of the colour picture.
+
+    Raises:
+        ValueError: for a picture that cannot be encoded, or a folder that holds something else.
+        OSError: when a file cannot be written.
     """
     folder = Path(folder)
-    part = folder.with_name(folder.name + ".part")
-    shutil.rmtree(part, ignore_errors=True)
-    part.mkdir(parents=True)
-    bgr = np.ascontiguousarray(sample.rgb[..., ::-1])
-    cv2.imwrite(str(part / "rgb.jpg"), bgr, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
-    images = {"depth": depth_to_png(sample.depth)}
+    if folder.exists() and not (folder / "meta.json").is_file() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ValueError(f"{folder} holds something else than a sample: choose another place")
+    images = {"rgb.jpg": sample.rgb, "depth.png": depth_to_png(sample.depth)}
     if sample.depth_gt is not None:
-        images["depth_gt"] = depth_to_png(sample.depth_gt)
-    images |= {key: getattr(sample, key) for key in LABELS if getattr(sample, key) is not None}
-    for key, image in images.items():
-        cv2.imwrite(str(part / f"{key}.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        images["depth_gt.png"] = depth_to_png(sample.depth_gt)
+    images |= {f"{key}.png": getattr(sample, key) for key in LABELS if getattr(sample, key) is not None}
     meta = {
         "camera": asdict(sample.camera) if sample.camera else None,
         "stereo": asdict(sample.stereo) if sample.stereo else None,
         "meta": sample.meta,
     }
-    (part / "meta.json").write_text(json.dumps(meta, indent=1) + "\n")
-    shutil.rmtree(folder, ignore_errors=True)
-    part.rename(folder)
+    with folder_written_whole(folder) as part:
+        for name, image in images.items():
+            jpeg = name.endswith(".jpg")
+            options = (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality) if jpeg else (cv2.IMWRITE_PNG_COMPRESSION, 9)
+            write_picture(part / name, image, options)
+        (part / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
 
 
 def read_sample(folder: Path | str) -> Sample:
@@ -96,10 +103,10 @@ def read_sample(folder: Path | str) -> Sample:
     """
     folder = Path(folder)
     camera, stereo, meta = read_meta(folder)
-    rgb = np.ascontiguousarray(_image(folder / "rgb.jpg", cv2.IMREAD_COLOR)[..., ::-1])
+    rgb = read_rgb(folder / "rgb.jpg")
     depth_gt = folder / "depth_gt.png"
-    labels = {k: _image(folder / f"{k}.png", cv2.IMREAD_UNCHANGED) for k in LABELS if (folder / f"{k}.png").is_file()}
-    return Sample(
+    labels = {k: read_labels(folder / f"{k}.png") for k in LABELS if (folder / f"{k}.png").is_file()}
+    sample = Sample(
         name=folder.name,
         rgb=rgb,
         depth=_metres(folder / "depth.png"),
@@ -110,6 +117,11 @@ def read_sample(folder: Path | str) -> Sample:
         meta=meta,
         **labels,
     )
+    for key in ("depth", "depth_gt", "material", "instances", "loss", "cause"):
+        image = getattr(sample, key)
+        if image is not None and image.shape != rgb.shape[:2]:
+            raise ValueError(f"{folder}: {key}.png is {image.shape}, rgb.jpg {rgb.shape[:2]}: it belongs elsewhere")
+    return sample
 
 
 def read_meta(folder: Path | str) -> tuple[Camera | None, Stereo | None, dict[str, Any]]:
@@ -121,11 +133,11 @@ def read_meta(folder: Path | str) -> tuple[Camera | None, Stereo | None, dict[st
     path = Path(folder) / "meta.json"
     if not path.is_file():
         raise ValueError(f"no sample in {folder}: expected rgb.jpg, depth.png and meta.json there")
+    held = read_json(path)
     try:
-        held = json.loads(path.read_text())
         camera, stereo = held["camera"], held["stereo"]
         return Camera(**camera) if camera else None, _stereo(stereo) if stereo else None, dict(held["meta"])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(
             f"{path} should be a JSON object with camera, stereo and meta, as save_sample writes it; got {error!r}"
         ) from None
@@ -140,14 +152,19 @@ def list_samples(split: str = "test", root: Path | str | None = None) -> list[st
     if split not in SPLITS + ROOM_SPLITS:
         raise ValueError(f"unknown split {split!r}; choose one of {', '.join(SPLITS + ROOM_SPLITS)}")
     folder = Path(root or SAMPLES) / split
-    names = sorted(p.parent.name for p in folder.glob("*/meta.json") if not p.parent.name.endswith(".part"))
+    names = sorted(p.parent.name for p in folder.glob("*/meta.json") if not is_unfinished(p.parent))
     if not names:
         raise ValueError(f"no samples in {folder}: run ditr_lite from its repository, or `make samples`")
     return names
 
 
+def is_unfinished(folder: Path) -> bool:
+    """Return whether a folder is one that a writer has not finished, or somebody hides."""
+    return folder.name.startswith(".") or folder.name.endswith(".part")
+
+
 def load_sample(name: str, root: Path | str | None = None) -> Sample:
-    """Load a sample by its name, which starts with its split, e.g. ``test_0003``.
+    """Load a sample by its name, its split and a number, e.g. ``test_00003``.
 
     Raises:
         ValueError: for a name that no split holds.
@@ -190,15 +207,8 @@ def _stereo(values: dict[str, Any]) -> Stereo:
     return Stereo(Camera(**values["camera"]), values["baseline_m"], motion)
 
 
-def _image(path: Path, mode: int) -> np.ndarray:
-    image = cv2.imread(str(path), mode)
-    if image is None:
-        raise ValueError(f"cannot read {path}: missing, or not an image")
-    return image
-
-
 def _metres(path: Path) -> np.ndarray:
-    image = _image(path, cv2.IMREAD_UNCHANGED)
+    image = read_array(path)
     if image.dtype != np.uint16 or image.ndim != 2:
         raise ValueError(
             f"{path} should be a 16-bit single-channel PNG in millimetres, got {image.dtype} {image.shape}"

@@ -10,8 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from . import diffusion
 from .autoencoder import VQAutoencoder
-from .boundary import M_D, M_DA, M_RGB, boundary_maps, get_backend
+from .boundary import M_D, M_DA, M_RGB, Backend, boundary_maps, get_backend
 from .conditioning import (
     CHANNELS,
     Bounds,
@@ -27,11 +28,14 @@ from .config import Config, RefineConfig, StdConfig
 from .detail import DetailNet
 from .region import ColourEncoder, RegionNet, refine_region
 from .schedule import make_schedule
-from .stage_two import BRANCHES, Painter, Plan, Views, paint
+from .stage_two import BRANCHES, Painter, Plan, Sampler, Views, paint
 from .store import load_parts
 from .unet import DenoisingUNet
-from .units import clean_depth
+from .units import check_unit, clean_depth
 from .windows import Window, choose_windows
+
+MAX_SAMPLES = 256  # draws of one frame: more would not fit into memory, and their mean would not change
+MAX_SEED = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -116,14 +120,16 @@ def check_inputs(
 
     Args:
         rgb: (H, W, 3) uint8.
-        depth: (H, W) float metres; NaN, infinite, negative and absurd readings become 0, missing.
+        depth: (H, W) float metres; NaN, infinite, negative and absurd readings become 0, missing, as do masked pixels
+            of a NumPy masked array.
         region: (H, W) bool, or None.
-        samples: at least 1.
+        samples: 1 to :data:`MAX_SAMPLES`.
 
     Raises:
         ValueError: naming what was expected, what came, and what to do.
     """
-    rgb, depth = np.asarray(rgb), np.asarray(depth)
+    rgb = _array("rgb", rgb)
+    depth = _array("depth", depth)
     if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
         raise ValueError(
             f"rgb: expected (H, W, 3) uint8, got {rgb.shape} {rgb.dtype}; convert grey or RGBA images to RGB"
@@ -134,17 +140,42 @@ def check_inputs(
         )
     if rgb.shape[:2] != depth.shape:
         raise ValueError(f"rgb is {rgb.shape[:2]} and depth {depth.shape}: align depth to the RGB image first")
-    region = None if region is None else np.asarray(region)
+    if not depth.size:
+        raise ValueError(f"depth: expected at least one pixel, got {depth.shape}")
+    region = None if region is None else _array("region", region)
     if region is not None and (region.shape != depth.shape or region.dtype != bool):
         raise ValueError(f"region: expected {depth.shape} bool, got {region.shape} {region.dtype}")
-    if samples < 1:
-        raise ValueError(f"samples: expected at least 1, got {samples}")
+    check_count("samples", samples, 1, MAX_SAMPLES)
+    check_unit("depth", depth)
     depth = clean_depth(depth)
     if not (depth > 0).any():
         raise ValueError(
             "depth holds no reading (all pixels are 0, negative or not finite); completion needs some depth"
         )
     return rgb, depth, region
+
+
+def check_count(name: str, value: int, low: int, high: int) -> int:
+    """Return a whole number, NumPy's too, as Python's after checking its limits.
+
+    Raises:
+        ValueError: for another kind of number, or one beyond the limits.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise ValueError(f"{name}: expected a whole number, got {value!r}")
+    if value < low:
+        raise ValueError(f"{name}: expected at least {low}, got {value}")
+    if value > high:
+        raise ValueError(f"{name}: expected at most {high}, got {value}")
+    return int(value)
+
+
+def _array(name: str, given: np.ndarray) -> np.ndarray:
+    """Return what a caller gave as a plain array, masked pixels as 0."""
+    try:
+        return np.asarray(np.ma.filled(given, 0) if isinstance(given, np.ma.MaskedArray) else given)
+    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, tensors of a GPU or with gradients
+        raise ValueError(f"{name}: expected a NumPy array, got {type(given).__name__} ({error})") from None
 
 
 def build(config: Config) -> nn.ModuleDict:
@@ -181,52 +212,110 @@ class Painting:
     windows: tuple[Window, ...]
 
 
+def own_backend(backend: Backend) -> Backend:
+    """Return a caller's boundary backend with a ValueError for anything but a map (h, w) bool of its picture's size."""
+
+    def call(image: np.ndarray) -> np.ndarray:
+        found = np.asarray(backend(image))
+        if found.shape != image.shape[:2] or found.dtype != bool:
+            raise ValueError(
+                f"boundary: expected {image.shape[:2]} bool of a picture {image.shape}, got {found.shape} {found.dtype}"
+            )
+        return found
+
+    return call
+
+
+def own_sampler(sampler: Sampler) -> Sampler:
+    """Return a caller's sampler with a ValueError for anything but finite latents of the shape that was asked for."""
+
+    def call(predict, shape, *args, **options) -> Tensor:
+        drawn = sampler(predict, shape, *args, **options)
+        if not isinstance(drawn, Tensor) or drawn.shape != shape:
+            got = tuple(drawn.shape) if isinstance(drawn, Tensor) else type(drawn).__name__
+            raise ValueError(f"sampler: expected a tensor {tuple(shape)} of latents, got {got}")
+        if not torch.isfinite(drawn).all():
+            raise ValueError("sampler: the latents hold NaN or infinity")
+        return drawn
+
+    return call
+
+
+def _device(name: str | torch.device) -> torch.device:
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError, TypeError) as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(f"device {name!r} cannot be used here ({reason}); choose 'cpu'") from None
+    return device
+
+
 class Ditr:
     """Two-stage latent-diffusion depth completion.
 
     Args:
         parts: the trained networks, as :func:`build` names them.
         config: what they were built from.
-        boundary: name of a boundary backend (``boundary.BACKENDS``).
-        boundary_path: its files, if it needs any.
+        boundary: name of a boundary backend (``boundary.BACKENDS``), or your own: a call that takes a picture (h, w, 3)
+            uint8 or a depth map (h, w) float32 metres, 0 = missing, and returns its boundaries, (h, w) bool.
+        boundary_path: files of a named backend, if it needs any.
         device: torch device.
+        sampler: of latents, called like :func:`diffusion.sample`, the default: ``sampler(predict, shape, schedule,
+            steps, prediction, generator=..., x_T=...)`` returns latents of that shape. ``predict(x_t, t)`` is the
+            denoiser, of latents (N, C, h, w) and step t; ``x_T`` is the noise to begin with.
+
+    Raises:
+        ValueError: for an unknown backend, or a device that is not there.
     """
 
     def __init__(
         self,
         parts: nn.ModuleDict,
         config: Config,
-        boundary: str = "classical",
+        boundary: str | Backend = "classical",
         boundary_path: Path | str | None = None,
         device: str | torch.device = "cpu",
+        sampler: Sampler = diffusion.sample,
     ):
-        self.config, self.device = config, torch.device(device)
+        self.config, self.device = config, _device(device)
         self.parts = parts.to(self.device, memory_format=torch.channels_last).eval().requires_grad_(False)
         self.schedule = make_schedule(config.schedule)
-        self.backend = get_backend(boundary, boundary_path)
+        self.backend = own_backend(boundary) if callable(boundary) else get_backend(boundary, boundary_path)
+        self.sampler = sampler if sampler is diffusion.sample else own_sampler(sampler)
 
     @classmethod
     def from_pretrained(
         cls,
         path: Path | str | None = None,
         device: str | torch.device = "cpu",
-        preset: str = "lite",
-        boundary: str = "classical",
+        preset: str | None = None,
+        boundary: str | Backend = "classical",
         boundary_path: Path | str | None = None,
+        sampler: Sampler = diffusion.sample,
     ) -> "Ditr":
-        """Load trained weights: the shipped ones of a preset, or those in the folder ``path``.
+        """Load trained weights: the shipped ones, or those in the folder ``path``.
+
+        Args:
+            path: weights folder; None for the shipped one.
+            device: as for the class.
+            preset: that the weights must be of; None for whichever they are.
+            boundary: as for the class.
+            boundary_path: likewise.
+            sampler: likewise.
 
         Raises:
-            ValueError: for missing or damaged weights, or an unknown preset or boundary backend.
+            ValueError: for missing, damaged or mixed weights, those of another preset, an unknown preset or boundary
+                backend, or a device that is not there.
         """
         config, states = load_parts(path, preset)
         parts = build(config)
         for name, module in parts.items():
             try:
                 module.load_state_dict(states[name])
-            except RuntimeError:  # its message is a page of tensor names
+            except (RuntimeError, KeyError):  # its message is a page of tensor names
                 raise ValueError(f"the {name} weights do not fit the sizes in their card; restore both") from None
-        return cls(parts, config, boundary, boundary_path, device)
+        return cls(parts, config, boundary, boundary_path, device, sampler)
 
     @torch.no_grad()
     def __call__(
@@ -259,6 +348,10 @@ class Ditr:
         """
         steps = self.config.sampler.steps if steps is None else steps
         samples = self.config.sampler.samples if samples is None else samples
+        check_count("steps", steps, 1, self.config.schedule.timesteps)
+        seed = check_count("seed", seed, 0, MAX_SEED)
+        if threshold is not None and not 0 < threshold < 1:
+            raise ValueError(f"threshold: expected a probability between 0 and 1, got {threshold!r}")
         rgb, depth, region = check_inputs(rgb, depth, region, samples)
         probability = None
         if region is None:
@@ -304,7 +397,7 @@ class Ditr:
         frame, classes = self.classify(rgb, depth)
         probability = 1 - classes[0]
         claimed = probability > (self.config.refine.threshold if threshold is None else threshold)
-        region = self.refine(claimed, refine) & frame.picture  # the padding is no glass
+        region = self.refine(claimed & frame.picture, refine)  # the padding is no glass, and none grows out of it
         return frame.back(probability), frame.back(region)
 
     @torch.no_grad()
@@ -436,7 +529,7 @@ class Ditr:
         generator = torch.Generator().manual_seed(2 * seed + BRANCHES.index(branch))
         prediction = self.config.sampler.prediction
         painter = self.painter(branch, plan)
-        drawn = paint(painter, views, self.schedule, steps, samples, prediction, generator).cpu()
+        drawn = paint(painter, views, self.schedule, steps, samples, prediction, generator, self.sampler).cpu()
         metres = bounds.denormalise(drawn)[:, :, 0]  # (S, B, 1, h, w) -> (S, B, h, w)
         # metric depth is positive, whatever a network says
         metres = torch.maximum(metres, 0.5 * bounds.low[:, 0])

@@ -7,14 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from .config import Config, from_dict, preset, to_dict
-from .files import written_whole
+from .files import locked, read_json, written_whole
 
 WEIGHTS = Path(__file__).resolve().parent / "weights"
 CARD = "card.json"
+BUILT_ON = {  # part -> the parts that it was trained on and is no use without
+    "optical": ("autoencoder", "encoder"),
+    "geometric": ("autoencoder", "encoder"),
+    "detail": ("autoencoder",),
+}
 
 
 def sha256(path: Path | str) -> str:
@@ -37,45 +43,83 @@ def read_card(folder: Path | str | None = None) -> dict[str, Any]:
         ValueError: when there is none, or it is not such a card.
     """
     path = Path(folder or WEIGHTS) / CARD
+    if not path.is_file():
+        raise ValueError(f"no weights in {path.parent}: expected {CARD} there; train them with `make train`")
     try:
-        card = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ValueError(f"no weights in {path.parent}: expected {CARD} there; train them with `make train`") from None
+        card = read_json(path)
     except ValueError as error:  # not JSON, or not even text
         raise ValueError(f"{path} is damaged ({error}); restore it or train again with `make train`") from None
-    if not isinstance(card, dict) or not {"config", "parts"} <= card.keys():
+    if not {"config", "parts"} <= card.keys():
         raise ValueError(f"{path} is no card of weights: it lacks config or parts; restore it")
+    parts = card["parts"]
+    if not isinstance(card["config"], dict) or not isinstance(parts, dict):
+        raise ValueError(f"{path} is damaged: config and parts should be JSON objects; restore it")
+    for name, part in parts.items():
+        if not isinstance(part, dict) or not isinstance(part.get("sha256"), str):
+            raise ValueError(f"{path} is damaged: part {name!r} should be an object with a sha256; restore it")
+        if not isinstance(part.get("built_on", {}), dict) or Path(name).name != name:
+            raise ValueError(f"{path} is damaged: part {name!r} cannot be of this kind; restore it")
     return card
+
+
+def read_config(folder: Path | str | None = None) -> Config:
+    """Return the configuration that the card of a weights folder holds.
+
+    Raises:
+        ValueError: when there is no card, or its configuration cannot be.
+    """
+    try:
+        return from_dict(read_card(folder)["config"])
+    except (TypeError, AttributeError, KeyError, ZeroDivisionError, OverflowError) as error:
+        raise ValueError(f"{Path(folder or WEIGHTS) / CARD} is damaged: config is none ({error}); restore it") from None
 
 
 def save_part(name: str, state: dict[str, Tensor], config: Config, folder: Path | str, notes: dict[str, Any]) -> Path:
     """Write one network as ``folder/name.safetensors`` (floating tensors as float16) and enter it into the card.
 
-    Files appear whole or not at all.
+    Files appear whole or not at all, and no other writer's entry is lost. The entry says by their checksums on which
+    parts of the folder this one was trained, unless ``notes`` do (``built_on``).
+
+    Raises:
+        ValueError: for tensors with NaN or infinity.
+        OSError: when a file cannot be written.
     """
     folder = Path(folder)
     path = folder / f"{name}.safetensors"
     half = {k: (v.half() if v.is_floating_point() else v).contiguous().cpu() for k, v in state.items()}
-    write_tensors(half, path)
-    card = read_card(folder) if (folder / CARD).is_file() else {"parts": {}}
-    card["config"] = to_dict(config)
-    card["parts"][name] = {**notes, "sha256": sha256(path)}
-    with written_whole(folder / CARD) as part:  # as plain JSON: a curve may hold NaN where nothing could be scored
-        part.write_text(json.dumps(card, indent=1) + "\n")
+    _check_finite(name, half, "training went wrong: lower its learning rate")
+    with locked(folder / CARD):
+        card = read_card(folder) if (folder / CARD).is_file() else {"parts": {}}
+        below = {n: card["parts"][n]["sha256"] for n in BUILT_ON.get(name, ()) if n in card["parts"]}
+        write_tensors(half, path)
+        card["config"] = to_dict(config)
+        card["parts"][name] = {"built_on": below, **notes, "sha256": sha256(path)}
+        with written_whole(folder / CARD) as part:  # as plain JSON: a curve may hold NaN where nothing could be scored
+            part.write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
     return path
+
+
+def _check_finite(name: str, tensors: dict[str, Tensor], advice: str) -> None:
+    """Refuse tensors with NaN or infinity."""
+    if wrong := [k for k, v in tensors.items() if v.is_floating_point() and not torch.isfinite(v).all()]:
+        raise ValueError(f"the weights of {name!r} hold NaN or infinity in {wrong[0]}: {advice}")
 
 
 def write_tensors(tensors: dict[str, Tensor], path: Path, metadata: dict[str, str] | None = None) -> None:
     """Write tensors as safetensors through a temporary name."""
     with written_whole(path) as part:
-        save_file(tensors, str(part), metadata=metadata)
+        try:
+            save_file(tensors, str(part), metadata=metadata)
+        except SafetensorError as error:  # a full disk, too
+            raise OSError(f"cannot write {path}: {error}") from None
 
 
 def load_part(name: str, folder: Path | str | None = None) -> dict[str, Tensor]:
     """Read one network's tensors as float32, after checking them against the card.
 
     Raises:
-        ValueError: when the file is missing, or is not the one that the card describes.
+        ValueError: when the file is missing, is not the one that the card describes, holds NaN, or was trained on
+            another autoencoder or encoder than is in the folder.
     """
     folder = Path(folder or WEIGHTS)
     card, path = read_card(folder), folder / f"{name}.safetensors"
@@ -83,10 +127,17 @@ def load_part(name: str, folder: Path | str | None = None) -> dict[str, Tensor]:
         raise ValueError(f"no weights called {name!r} in {folder}; train them with `make train`")
     if sha256(path) != card["parts"][name]["sha256"]:
         raise ValueError(f"{path} does not match its checksum in {CARD}: it is damaged or was replaced; restore it")
+    for other, checksum in card["parts"][name].get("built_on", {}).items():
+        if other in card["parts"] and card["parts"][other]["sha256"] != checksum:
+            raise ValueError(
+                f"the weights in {folder} do not belong together: {name!r} was trained on another {other!r} than is "
+                f"there; restore that, or train {name!r} again"
+            )
     try:
         tensors = load_file(str(path))
     except Exception as error:  # safetensors raises its own type for a malformed file
         raise ValueError(f"{path} cannot be read as safetensors: {error}") from None
+    _check_finite(name, tensors, "restore them or train again")
     return {k: v.to(torch.float32) if v.is_floating_point() else v for k, v in tensors.items()}
 
 
@@ -97,8 +148,8 @@ def copy_part(name: str, source: Path | str, folder: Path | str) -> None:
         return
     card = read_card(source)
     state = load_part(name, source)
-    config = read_card(folder)["config"] if (folder / CARD).is_file() else card["config"]
-    save_part(name, state, from_dict(config), folder, card["parts"][name])
+    config = read_config(folder if (folder / CARD).is_file() else source)
+    save_part(name, state, config, folder, card["parts"][name])
 
 
 def copy_weights(source: Path | str, folder: Path | str) -> None:
@@ -114,23 +165,24 @@ def copy_weights(source: Path | str, folder: Path | str) -> None:
             shutil.copyfile(source / file, part)
 
 
-def load_parts(path: Path | str | None = None, name: str = "lite") -> tuple[Config, dict[str, dict[str, Tensor]]]:
+def load_parts(path: Path | str | None = None, name: str | None = None) -> tuple[Config, dict[str, dict[str, Tensor]]]:
     """Return the configuration and all tensors of a weights folder, by default the shipped one.
 
     Args:
         path: folder with ``card.json``; None for the shipped weights.
-        name: preset the weights must have been trained with; only ``lite`` is shipped.
+        name: preset that the weights must be of; None for whichever they are.
 
     Raises:
-        ValueError: for an unknown preset, one without shipped weights, or missing or damaged files.
+        ValueError: for an unknown preset or one that the weights are not of, or missing, damaged or mixed weights.
     """
-    preset(name)
-    if path is None and name != "lite":
+    if name is not None:
+        preset(name)
+    config = read_config(path)
+    if name is not None and config.name != name:
+        where = "shipped with weights" if path is None else f"what {path} holds"
         raise ValueError(
-            f"only the lite preset is shipped with weights, not {name!r}; train it and give its folder as path"
+            f"only the {config.name} preset is {where}, not {name!r}; train it and give its folder as path"
         )
-    card = read_card(path)
-    config = from_dict(card["config"])
     names = ["region", "autoencoder", "optical", "geometric"]
     names += ["encoder"] if config.unet.colour_channels else []
     names += ["detail"] if config.detail.width else []

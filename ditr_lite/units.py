@@ -1,20 +1,92 @@
-"""What a depth map is: metres, 0 = nothing read; the checks of depth and mask, and the way to millimetres and back."""
+"""What a depth map is: metres, 0 = nothing read; the checks of depth and mask, and the way to a unit and back."""
+
+import warnings
 
 import numpy as np
 
 MAX_DEPTH_M = 65.0  # 16-bit millimetres end at 65.535 m: readings beyond this are codes for "no reading"
+MIN_DEPTH_M = 0.01  # no depth camera reads nearer: where most readings are, the unit is wrong
+USUAL_M = (0.15, 5.0)  # where the median reading of an indoor frame lies; outside, a warning
+MILLIMETRES = 0.001  # metres per unit
+UNITS = (  # in the order in which they are proposed
+    (MILLIMETRES, "millimetres"),
+    (0.01, "centimetres"),
+    (0.1, "decimetres"),
+    (0.0001, "tenths of a millimetre"),
+    (1e-6, "micrometres"),
+    (1000.0, "kilometres"),
+)
 
 
 def clean_depth(depth: np.ndarray) -> np.ndarray:
-    """Return depth as float32 metres with NaN, infinite, negative and absurd readings set to 0 (missing)."""
-    depth = np.array(depth, dtype=np.float32)
+    """Return depth as float32 metres with NaN, infinite, negative and absurd readings set to 0 (missing).
+
+    Masked pixels of a NumPy masked array are missing, too.
+    """
+    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, that is missing
+        depth = np.array(np.ma.filled(depth, 0), dtype=np.float32)
     depth[~(np.isfinite(depth) & (depth > 0) & (depth < MAX_DEPTH_M))] = 0
     return depth
 
 
-def depth_to_png(depth_m: np.ndarray) -> np.ndarray:
-    """Return (H, W) uint16 millimetres of a depth map in metres, 0 staying 0."""
-    return np.clip(np.rint(depth_m * 1000.0), 0, 65535).astype(np.uint16)
+def check_unit(name: str, depth: np.ndarray, scale: float = 1.0) -> None:
+    """Refuse depth that is no metres, and warn of depth that may be none.
+
+    Depth whose borders were blended when it was resized holds some believable values whatever its unit; so most
+    readings decide, not all.
+
+    Args:
+        name: what to call the depth in messages.
+        depth: (H, W) in metres as claimed, before it is cleaned; not finite or at most 0 is missing.
+        scale: metres per unit by which it was multiplied.
+
+    Raises:
+        ValueError: when the median reading lies beyond 65 m or nearer than 1 cm; the message names a likely unit.
+    """
+    depth = np.asarray(np.ma.filled(depth, 0))
+    read = depth[np.isfinite(depth) & (depth > 0)]
+    if not read.size:
+        return
+    median = float(np.median(read))
+    if MIN_DEPTH_M <= median < MAX_DEPTH_M:
+        if not USUAL_M[0] <= median <= USUAL_M[1]:
+            side = f"nearer than {USUAL_M[0]}" if median < USUAL_M[0] else f"farther than {USUAL_M[1]:g}"
+            warnings.warn(f"most depth readings are {side} m: is their unit right (depth_scale)?", stacklevel=2)
+        return
+    wrong = f"beyond {MAX_DEPTH_M:g} m" if median >= MAX_DEPTH_M else f"nearer than {100 * MIN_DEPTH_M:g} cm"
+    likely = [(s, unit) for s, unit in UNITS if USUAL_M[0] <= median / scale * s <= USUAL_M[1] and s != scale]
+    advice = f"{likely[0][1]}? pass depth_scale={likely[0][0]:g}" if likely else "what is its unit? pass depth_scale"
+    top = float(read.max()) / scale
+    raise ValueError(f"{name}: most readings lie {wrong}, values up to {top:.6g} at {scale:g} m a unit: {advice}")
+
+
+def depth_to_png(depth_m: np.ndarray, depth_scale: float = MILLIMETRES) -> np.ndarray:
+    """Return (H, W) uint16 of a depth map in metres, in units of ``depth_scale`` metres, 0 staying 0."""
+    units = np.asarray(depth_m, dtype=np.float64) / depth_scale
+    return np.clip(np.rint(units), 0, 65535).astype(np.uint16)
+
+
+def upsample_sparse(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return depth of lower resolution at the size of its colour picture, every reading at its place, 0 between.
+
+    Nothing is interpolated: a reading stays what it was, on the pixel nearest to its own centre, and what lies between
+    is missing, to be completed.
+
+    Args:
+        depth: (h, w) metres, 0 = missing, aligned to the picture.
+        size: (H, W) of the picture.
+
+    Raises:
+        ValueError: when the picture is smaller, or of another shape by more than 2 %.
+    """
+    (height, width), (h, w) = size, depth.shape
+    if h > height or w > width or abs(height * w / (width * h) - 1) > 0.02:
+        raise ValueError(f"depth {depth.shape} cannot be brought to {tuple(size)}: it should be smaller, of like shape")
+    rows = ((np.arange(h) + 0.5) * height / h).astype(int)
+    columns = ((np.arange(w) + 0.5) * width / w).astype(int)
+    large = np.zeros(size, depth.dtype)
+    large[np.ix_(rows, columns)] = depth
+    return large
 
 
 def check_metres(depth_m: np.ndarray) -> np.ndarray:

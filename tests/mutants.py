@@ -587,6 +587,45 @@ FRAMES = [
     ),
 ]
 
+
+INPUTS = [
+    *family(
+        "files of any camera",
+        "files",
+        ("scale: of integers only", "metres = raw if scale == 1 else raw.astype(np.float64) * scale", "metres = raw"),
+        ("65535 is a distance", "np.where(raw == NO_READING, 0.0, raw.astype(np.float64) * scale)", "raw * scale"),
+        ("PNG: checksums are not read", 'zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big")', "False"),
+        ("JPEG: the end is not looked for", 'data.rfind(b"\\xff\\xd9") < data.rfind(b"\\xff\\xda")', "False"),
+        ("PNG out: always millimetres", "depth_to_png(depth_m, depth_scale))", "depth_to_png(depth_m))"),
+    ),
+    *family(
+        "one set of weights",
+        "store",
+        ("parts are not compared", 'if other in card["parts"] and card', "if False and card"),
+        ("what a part was trained on is not noted", '{"built_on": below, **notes,', "{**notes,"),
+        ("NaN is read", '_check_finite(name, tensors, "restore them or train again")', "pass"),
+    ),
+    *family(
+        "cameras of datasets",
+        "datasets/dreds",
+        ("focal length: of another width", "zoom = width / wide", "zoom = 1.0"),
+    ),
+    *family(
+        "stage one in a frame",
+        "pipeline",
+        ("the padding is claimed", "self.refine(claimed & frame.picture, refine)", "self.refine(claimed, refine)"),
+        ("branches: the same noise", "2 * seed + BRANCHES.index(branch)", "2 * seed"),
+    ),
+    *family(
+        "stage one scored",
+        "evaluation/stage_one",
+        (
+            "overlap: after refinement",
+            "metrics.iou(out.probability > ditr.config.refine.threshold, sample.region)",
+            "metrics.iou(out.region, sample.region)",
+        ),
+    ),
+]
 MUTANTS: list[Mutant] = [
     *SCHEDULE,
     *DIFFUSION,
@@ -597,6 +636,7 @@ MUTANTS: list[Mutant] = [
     *REGION,
     *BOUNDARY,
     *FRAMES,
+    *INPUTS,
 ]
 
 

@@ -71,6 +71,15 @@ def test_override_converts_text(key, text, value):
     assert node == value and type(node) is type(value)
 
 
+def test_override_fills_an_empty_tuple():
+    empty = config.preset("tiny")
+    assert empty.unet.colour_channels == ()
+    for value in ("24,40,112", (24, 40, 112)):
+        assert config.override(empty, **{"unet.colour_channels": value}).unet.colour_channels == (24, 40, 112)
+    with pytest.raises(ValueError, match="'unet.colour_channels' expects tuple"):
+        config.override(empty, **{"unet.colour_channels": "24,a"})
+
+
 def test_settings_that_are_right_only_together_are_taken_in_any_order():
     settings = {
         "sampler.prediction": "v",

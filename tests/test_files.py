@@ -1,3 +1,9 @@
+import os
+import signal
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
 import cv2
 import numpy as np
 import OpenEXR
@@ -113,7 +119,7 @@ def test_depth_survives_the_disk(tmp_path, depth, suffix):
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
-def test_depth_scale_applies_to_integers_only(tmp_path):
+def test_depth_scale_applies_to_every_type(tmp_path):
     units = np.full((4, 5), 4000, np.uint16)
     png = save_image(tmp_path / "d.png", units)
     np.save(tmp_path / "int.npy", units)
@@ -121,7 +127,8 @@ def test_depth_scale_applies_to_integers_only(tmp_path):
     assert files.read_depth(png)[0, 0] == 4.0
     assert files.read_depth(png, 0.00025)[0, 0] == 1.0
     assert files.read_depth(tmp_path / "int.npy", 0.00025)[0, 0] == 1.0
-    assert files.read_depth(tmp_path / "float.npy", 0.00025)[0, 0] == 1.25
+    assert files.read_depth(tmp_path / "float.npy")[0, 0] == 1.25
+    assert files.read_depth(tmp_path / "float.npy", 0.5)[0, 0] == 0.625
     for scale in (0, -1, np.nan):
         with pytest.raises(ValueError, match="metres per unit"):
             files.read_depth(png, scale)
@@ -154,7 +161,7 @@ def test_exr_channels(tmp_path):
     with pytest.raises(ValueError, match="normals picture, not depth"):
         files.read_depth(normals)
     other = save_exr(tmp_path / "other.exr", X=half, Y=half)
-    with pytest.raises(ValueError, match="expected one channel or R"):
+    with pytest.raises(ValueError, match="expected one channel, Z or R"):
         files.read_depth(other)
 
 
@@ -167,7 +174,7 @@ def test_unusable_depth_is_refused_with_the_reason(tmp_path):
         "no file": tmp_path / "absent.png",
         "not a plain .npy array": tmp_path / "objects.npy",
         "not an OpenEXR file": tmp_path / "text.exr",
-        "expected a PNG, JPEG, .npy or .exr file": tmp_path / "text.png",
+        "expected a PNG, JPEG, TIFF, .npy or .exr file": tmp_path / "text.png",
         "should hold integers or floats": tmp_path / "text.npy",
     }
     np.save(tmp_path / "objects.npy", np.array([{}], dtype=object))
@@ -178,12 +185,12 @@ def test_unusable_depth_is_refused_with_the_reason(tmp_path):
         with pytest.raises(ValueError, match=message):
             files.read_depth(path)
     np.save(tmp_path / "mm.npy", np.full((4, 5), 612.0))
-    with pytest.raises(ValueError, match="is its unit millimetres"):
+    with pytest.raises(ValueError, match=r"millimetres\? pass depth_scale=0.001"):
         files.read_depth(tmp_path / "mm.npy")
     assert not files.read_depth(cases["no valid depth"], allow_empty=True).any()
 
 
-@pytest.mark.parametrize("suffix", [".png", ".exr", ".npy"])
+@pytest.mark.parametrize("suffix", files.DEPTH)
 def test_a_file_cut_short_is_refused(tmp_path, depth, suffix):
     path = tmp_path / f"d{suffix}"
     files.write_depth(path, depth)
@@ -244,7 +251,7 @@ def test_what_is_not_depth_is_not_written(tmp_path, array, message):
 
 
 def test_an_unknown_suffix_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="choose .png, .npy or .exr"):
+    with pytest.raises(ValueError, match="choose .png, .tif, .tiff, .npy, .exr"):
         files.write_depth(tmp_path / "d.jpg", np.ones((2, 2)))
 
 
@@ -259,3 +266,99 @@ def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
         part.write_text("new")
         assert path.read_text() == "old" and part.suffix == ".txt"
     assert path.read_text() == "new" and list(tmp_path.iterdir()) == [path]
+
+
+# --- whole or not at all ----------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def full_disk(size):
+    """Let no file grow beyond ``size`` bytes, as on a disk that is full."""
+    resource = pytest.importorskip("resource", reason="file sizes cannot be limited here")
+    old_signal = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, old_signal)
+
+
+@pytest.mark.parametrize("suffix", files.DEPTH)
+def test_a_full_disk_is_an_error_and_leaves_the_old_file(tmp_path, suffix):
+    path = tmp_path / f"d{suffix}"
+    noise = np.random.default_rng(0).random((64, 64)).astype(np.float32) + 0.5
+    files.write_depth(path, np.ones((2, 2), np.float32))
+    before = path.read_bytes()
+    for size in (1, 100, 1000):
+        with full_disk(size), pytest.raises(OSError):
+            files.write_depth(path, noise)
+        assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+
+
+def test_two_writers_of_one_folder_leave_one_whole(tmp_path):
+    folder = tmp_path / "scene"
+
+    def write(mark):
+        for _ in range(10):
+            with files.folder_written_whole(folder) as part:
+                for name in "abc":
+                    (part / name).write_text(mark)
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(write, "wxyz"))
+    assert len({path.read_text() for path in folder.iterdir()}) == 1 and len(list(folder.iterdir())) == 3
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_an_interrupted_folder_leaves_the_old_one(tmp_path):
+    folder = tmp_path / "scene"
+    with files.folder_written_whole(folder) as part:
+        (part / "a").write_text("old")
+    with pytest.raises(KeyboardInterrupt), files.folder_written_whole(folder) as part:
+        (part / "a").write_text("new")
+        raise KeyboardInterrupt
+    assert (folder / "a").read_text() == "old" and list(tmp_path.iterdir()) == [folder]
+
+
+def test_a_lock_is_held_by_one_and_taken_over_when_it_was_left_behind(tmp_path, monkeypatch):
+    target, lock = tmp_path / "card.json", tmp_path / ".card.json.lock"
+    with files.locked(target):
+        assert lock.is_file()
+        monkeypatch.setattr(files, "LOCK_S", 0.05)
+        lock.touch()
+        os.utime(lock, (time.time() + 99, time.time() + 99))  # its holder is at work
+        with pytest.raises(ValueError, match="another process is writing"), files.locked(target):
+            pass
+        os.utime(lock, (1, 1))
+        with files.locked(target):
+            assert lock.is_file()
+    assert not lock.exists()
+
+
+@pytest.mark.parametrize("scale", [0.0001, 0.00025, 0.0002, 0.001, 0.002])
+def test_readings_leave_as_a_png_in_the_unit_in_which_they_came(tmp_path, scale):
+    units = (
+        np.random.default_rng(0).integers(1, int(5.0 / scale) if scale > 1e-4 else 60000, (40, 50)).astype(np.uint16)
+    )
+    came = save_image(tmp_path / "in.png", units)
+    files.write_depth(tmp_path / "out.png", files.read_depth(came, scale), files.unit_of(came, scale))
+    np.testing.assert_array_equal(files.read_array(tmp_path / "out.png"), units)
+
+
+def test_libraries_print_nothing_of_their_own(tmp_path, capfd):
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"Z": np.ones((40, 40), np.float32)}).write(str(tmp_path / "d.exr"))
+    capfd.readouterr()
+    for name, whole in {
+        "d.png": cv2.imencode(".png", np.ones((40, 40), np.uint16))[1].tobytes(),
+        "d.tif": cv2.imencode(".tif", np.ones((40, 40), np.uint16))[1].tobytes(),
+        "d.jpg": cv2.imencode(".jpg", np.ones((40, 40, 3), np.uint8))[1].tobytes(),
+        "d.exr": (tmp_path / "d.exr").read_bytes(),
+    }.items():
+        for share in (0.3, 0.6, 0.9):
+            (tmp_path / name).write_bytes(whole[: int(len(whole) * share)])
+            with pytest.raises(ValueError):
+                files.read_array(tmp_path / name)
+    assert capfd.readouterr() == ("", "")

@@ -19,7 +19,7 @@ READING_ORDER = (
     "08_ablations",
     "09_your_own_camera",
 )
-MAX_NOTEBOOK_BYTES = 300_000
+MAX_NOTEBOOK_BYTES = 500_000
 MIN_ALT = 20  # characters: "figure" or "plot" describes nothing
 FIGURE = ("image/png", "image/jpeg", "image/svg+xml")
 # Headings that every notebook has, in this order.

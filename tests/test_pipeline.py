@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from ditr_lite import pipeline
 from ditr_lite.conditioning import tie
 from ditr_lite.config import RefineConfig, override, preset
 from ditr_lite.pipeline import Ditr, Painting, build, compose
@@ -361,3 +362,31 @@ def test_no_boundary_runs_along_the_edge_of_the_padding(ditr):
     rgb = np.full((60, 160, 3), 200, np.uint8)  # the tiny system pads it below
     out = ditr(rgb, np.full((60, 160), 0.7, np.float32), samples=1)
     assert not out.boundary_rgb.any()
+
+
+def test_what_is_claimed_of_the_padding_does_not_grow_into_the_picture(ditr, monkeypatch):
+    rgb, depth, _ = frame(60, 160)  # the tiny system pads it below
+    classify = ditr.classify
+
+    def claim_the_padding(*given):
+        where, classes = classify(*given)
+        return where, np.stack([where.picture, ~where.picture]).astype(np.float32)
+
+    monkeypatch.setattr(ditr, "classify", claim_the_padding)
+    _, region = ditr.find_region(rgb, depth)
+    assert not region.any()
+
+
+def test_each_branch_draws_noise_of_its_own_for_every_seed(ditr, monkeypatch):
+    seeds = []
+
+    def stop(painter, views, schedule, steps, samples, prediction, generator, sampler):
+        seeds.append(generator.initial_seed())
+        return torch.zeros(samples, len(views.rgb), 1, *views.rgb.shape[2:])
+
+    monkeypatch.setattr(pipeline, "paint", stop)
+    rgb, depth, region = frame(64, 96)
+    region[20:30, 20:30] = True
+    for seed in (0, 1, 2):
+        ditr(rgb, depth, region, steps=1, samples=1, seed=seed)
+    assert len(seeds) == 6 == len(set(seeds))

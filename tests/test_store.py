@@ -1,11 +1,12 @@
 import hashlib
 import json
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
 from torch import nn
 
-from ditr_lite import store
+from ditr_lite import pipeline, store
 from ditr_lite.config import override, preset
 from ditr_lite.store import CARD, load_part, load_parts, read_card, save_part, sha256, write_tensors
 
@@ -78,7 +79,13 @@ def test_damaged_or_replaced_weights_are_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [(None, "no weights in"), ("{", "is damaged"), ("\xff", "is damaged"), ("[]", "no card"), ("{}", "lacks config")],
+    [
+        (None, "no weights in"),
+        ("{", "is damaged"),
+        ("\xff", "is damaged"),
+        ("[]", "is damaged"),
+        ("{}", "lacks config"),
+    ],
 )
 def test_a_folder_without_a_proper_card_is_refused(tmp_path, text, message):
     if text is not None:
@@ -117,3 +124,128 @@ def test_a_fingerprint_changes_with_a_weight_and_with_a_setting():
     with torch.no_grad():
         net.bias[1] += 1
     assert store.fingerprint(net, 0.5) != same
+
+
+# As the parts come: the autoencoder before what is trained on it.
+ORDER = ("autoencoder", "region", "optical", "geometric", "detail")
+
+
+@pytest.mark.parametrize("part", ["optical", "geometric", "detail"])
+def test_parts_that_do_not_belong_together_are_refused(tmp_path, part):
+    one, other = tmp_path / "one", tmp_path / "other"
+    for seed, folder in enumerate((one, other)):
+        torch.manual_seed(seed)
+        parts = pipeline.build(TINY)
+        for name in ORDER:
+            save_part(name, parts[name].state_dict(), TINY, folder, {})
+        checksum = read_card(folder)["parts"]["autoencoder"]["sha256"]
+        assert read_card(folder)["parts"][part]["built_on"]["autoencoder"] == checksum
+        load_parts(folder)
+    card = read_card(one)
+    card["parts"][part] = read_card(other)["parts"][part]  # file and entry, as a person would copy them
+    (one / CARD).write_text(json.dumps(card))
+    (one / f"{part}.safetensors").write_bytes((other / f"{part}.safetensors").read_bytes())
+    with pytest.raises(ValueError, match=f"do not belong together: '{part}' was trained on another 'autoencoder'"):
+        load_parts(one)
+
+
+def test_a_new_autoencoder_makes_the_old_branches_useless_until_they_are_trained_again(tmp_path):
+    torch.manual_seed(0)
+    parts = pipeline.build(TINY)
+    for name in ORDER:
+        save_part(name, parts[name].state_dict(), TINY, tmp_path, {})
+    new = {k: v + 0.125 if v.is_floating_point() else v for k, v in parts["autoencoder"].state_dict().items()}
+    save_part("autoencoder", new, TINY, tmp_path, {})
+    with pytest.raises(ValueError, match="do not belong together"):
+        load_parts(tmp_path)
+    for name in ("optical", "geometric", "detail"):
+        save_part(name, parts[name].state_dict(), TINY, tmp_path, {})
+    assert load_parts(tmp_path)[0] == TINY
+
+
+def test_what_a_part_was_trained_on_travels_with_it(tmp_path):
+    for name in ("autoencoder", "optical"):
+        save_part(name, STATE, TINY, tmp_path / "a", {})
+    other = {"weight": STATE["weight"] + 1, "count": STATE["count"]}
+    save_part("autoencoder", other, TINY, tmp_path / "b", {})
+    store.copy_part("optical", tmp_path / "a", tmp_path / "b")
+    with pytest.raises(ValueError, match="do not belong together"):
+        load_part("optical", tmp_path / "b")
+
+
+def test_parts_saved_at_once_are_all_in_the_card(tmp_path):
+    names = [f"part{k}" for k in range(12)]
+    with ThreadPoolExecutor(6) as pool:
+        list(pool.map(lambda name: save_part(name, STATE, TINY, tmp_path, {}), names))
+    assert sorted(read_card(tmp_path)["parts"]) == sorted(names)
+    assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("parts",), None),
+        (("parts",), []),
+        (("parts", "region"), None),
+        (("parts", "region"), "text"),
+        (("parts", "region", "sha256"), None),
+        (("parts", "region", "sha256"), 7),
+        (("parts", "optical", "built_on"), ["autoencoder"]),
+        (("config",), None),
+        (("config",), "lite"),
+        (("config", "unet"), None),
+        (("config", "unet"), 3),
+        (("config", "unet", "width"), 8.5),
+        (("config", "unet", "width"), "8"),
+        (("config", "unet", "width"), None),
+        (("config", "unet", "width"), True),
+        (("config", "unet", "width"), 10**9),
+        (("config", "unet", "multipliers"), 4),
+        (("config", "unet", "multipliers"), [1, "2"]),
+        (("config", "region", "levels"), 12),
+        (("config", "region", "levels"), 0),
+        (("config", "size"), [64]),
+        (("config", "size"), "64"),
+        (("config", "sampler", "steps"), 1.5),
+        (("config", "schedule", "timesteps"), None),
+        (("config", "evidence"), 1),
+        (("config", "std", "base"), [0.1]),
+        (("config", "wings"), 2),
+    ],
+    ids=str,
+)
+def test_a_damaged_card_is_refused_in_one_line(tmp_path, path, value):
+    for name in ORDER:
+        save_part(name, STATE, TINY, tmp_path, {})
+    card = read_card(tmp_path)
+    node = card
+    for key in path[:-1]:
+        node = node[key]
+    node[path[-1]] = value
+    (tmp_path / CARD).write_text(json.dumps(card))
+    with pytest.raises(ValueError) as refusal:
+        load_parts(tmp_path)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("wrong", [float("nan"), float("inf"), 1e9])  # 1e9 does not fit into float16
+def test_weights_with_nan_are_neither_written_nor_read(tmp_path, wrong):
+    bad = {"weight": torch.tensor([1.0, wrong])}
+    with pytest.raises(ValueError, match="hold NaN or infinity in weight"):
+        save_part("region", bad, TINY, tmp_path, {})
+    assert not (tmp_path / "region.safetensors").exists()
+    save_part("region", STATE, TINY, tmp_path, {})
+    write_tensors({"weight": torch.tensor([1.0, float("nan")])}, tmp_path / "region.safetensors")
+    card = read_card(tmp_path)
+    card["parts"]["region"]["sha256"] = sha256(tmp_path / "region.safetensors")
+    (tmp_path / CARD).write_text(json.dumps(card))
+    with pytest.raises(ValueError, match="NaN or infinity"):
+        load_part("region", tmp_path)
+
+
+def test_the_preset_is_checked_against_the_card(tmp_path):
+    for name in ORDER:
+        save_part(name, STATE, TINY, tmp_path, {})
+    assert load_parts(tmp_path)[0] == load_parts(tmp_path, "tiny")[0] == TINY
+    with pytest.raises(ValueError, match="only the tiny preset is what .* holds, not 'lite'"):
+        load_parts(tmp_path, "lite")

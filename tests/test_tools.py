@@ -159,6 +159,13 @@ def test_the_picture_shows_scenes_by_rank_and_cuts_them_to_what_matters():
     assert rows.stop <= 192 and cols.stop <= 256 and rows.start > 50
 
 
+def test_the_picture_is_drawn():
+    sample = load_sample(list_samples("test")[0])
+    drawn = load("result_picture").draw([sample], [sample.depth_gt])
+    titles = [axes.get_title() for axes in drawn.axes]
+    assert sample.name in titles[0] and "DITR: 0 mm off in glass" in titles and drawn.png()[:4] == b"\x89PNG"
+
+
 def test_calibration_fits_checks_and_enters_what_it_found(tmp_path, capsys):
     calibrate = load("calibrate")
     config = replace(preset("tiny"), std=StdConfig(base=(0.5, 0.5)), refine=RefineConfig(0, 0, 0))

@@ -1,9 +1,10 @@
-"""Measure the rendered scenes and write their data card, data_samples/README.md, and its contact sheet.
+"""Measure the rendered scenes and write their data card, data_samples/README.md, and its two contact sheets.
 
-    python tools/data_card.py [--scenes outputs/scenes/train] [--real DIR]
+    python tools/data_card.py [--scenes outputs/scenes/train] [--rooms outputs/scenes/rooms_train] [--real DIR]
 
-``--scenes`` is a folder of rendered training scenes to hold against real frames; where it is absent, the shipped
-training samples stand in. ``--real`` is a folder of ClearGrasp's real frames; without it the card has no such columns.
+``--scenes`` and ``--rooms`` are folders of rendered training scenes, table tops and rooms, to hold against real
+frames; where they are absent, the shipped samples of ``train`` and ``rooms_val`` stand in. ``--real`` is a folder of
+ClearGrasp's real frames; without it the card has no such columns.
 """
 
 import argparse
@@ -15,14 +16,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ditr_lite import baselines, viz
-from ditr_lite.data import OPAQUE, REFLECTIVE, SAMPLES, SPLITS, TRANSPARENT, Sample, list_samples, read_sample
+from ditr_lite.data import OPAQUE, REFLECTIVE, ROOM_SPLITS, SAMPLES, SPLITS, TRANSPARENT, Sample, read_sample
 from ditr_lite.datasets import ClearGrasp
 from ditr_lite.loss_types import Cause, LossType
-from ditr_lite.simulator import realism
+from ditr_lite.simulator import realism, rooms, simulate, textures
 from ditr_lite.simulator.scenes import TEST_FAMILIES, TRAIN_FAMILIES
 
 ROOT = Path(__file__).resolve().parents[1]
 STRIDE = 8  # the contact sheet shows every eighth scene of the test split: taken blindly, never picked
+SEEN = "Real frames were looked\nat while the simulators were designed, so lying inside is no independent check."
 KINDS = {"opaque": OPAQUE, "transparent": TRANSPARENT, "reflective": REFLECTIVE}
 
 
@@ -38,10 +40,16 @@ def table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def ranks(simulated: Sequence[Sample], real: Sequence[Sample]) -> list[tuple[str, str, float]]:
-    """Return (statistic, frame, per cent of the simulated frames below it) for all real frames."""
+    """Return (statistic, frame, its :func:`rank` among the simulated frames) for all real frames."""
     rows = [realism.frame_statistics(s) for s in simulated]
     values = [(key, s.name, v) for s in real for key, v in realism.frame_statistics(s).items()]
-    return [(key, name, 100 * float(np.mean([r[key] < v for r in rows]))) for key, name, v in values]
+    return [(key, name, rank([r[key] for r in rows], v)) for key, name, v in values]
+
+
+def rank(values: Sequence[float], value: float) -> float:
+    """Return the per cent of ``values`` below ``value``; equal ones count half, NaN not at all."""
+    known = np.array(values)[~np.isnan(values)]
+    return 100 * float(np.mean(known < value) + np.mean(known == value) / 2)
 
 
 def realism_section(simulated: Sequence[Sample], real: Sequence[Sample], which: str) -> str:
@@ -56,10 +64,15 @@ def realism_section(simulated: Sequence[Sample], real: Sequence[Sample], which: 
     if out:
         listed = "; ".join(f"`{key}` of {name} at percentile {rank:.1f}" for key, name, rank in out)
         verdict += f"\nOutside: {listed}."
-    legend = "\n".join(f"- `{key}`: {meaning}" for key, meaning in realism.STATISTICS.items())
+    return f"{text}\n\n```\n{realism.compare(list(simulated), list(real))}\n```\n\n{verdict}"
+
+
+def few(real: Sequence[Sample]) -> str:
+    """Return what so small a number of real frames cannot tell; nothing where there are none."""
+    if not real:
+        return ""
     frames = "frames are" if len(real) > 1 else "frame is"
-    few = f"{len(real)} real {frames} few, too few to tell how often each case occurs."
-    return f"{text}\n\n```\n{realism.compare(list(simulated), list(real))}\n```\n\n{verdict}\n\n{legend}\n\n{few}"
+    return f"{len(real)} real {frames} few, too few to tell how often each case occurs. {SEEN}"
 
 
 def split_table(splits: dict[str, list[Sample]]) -> str:
@@ -83,9 +96,13 @@ def split_table(splits: dict[str, list[Sample]]) -> str:
 
 
 def largest_difference(one: Sequence[Sample], other: Sequence[Sample]) -> str:
-    """Return the statistic whose medians differ most between two splits, by their ratio, and the two medians."""
+    """Return the statistic whose medians differ most between two splits, by their ratio, and the two medians.
+
+    A statistic with a median of 0 or less has no ratio and is passed over.
+    """
     a, b = ([realism.frame_statistics(s) for s in samples] for samples in (one, other))
     medians = {key: [float(np.nanmedian([r[key] for r in rows])) for rows in (a, b)] for key in realism.STATISTICS}
+    medians = {key: pair for key, pair in medians.items() if min(pair) > 0}
     key = max(medians, key=lambda k: abs(np.log(medians[k][0] / medians[k][1])))
     return f"`{key}`, {medians[key][0]:.3f} against {medians[key][1]:.3f}"
 
@@ -99,87 +116,190 @@ def family_table() -> str:
     return table(["things", "train and val", "test"], rows).replace("---:", "---")
 
 
-def contact_sheet(samples: Sequence[Sample], path: Path) -> None:
-    """Draw every :data:`STRIDE`-th sample in full colour."""
-    figure = viz.contact_sheet(samples[::STRIDE], columns=8)
+def room_table() -> str:
+    """Return which transparent and reflective shapes the rooms have, in training and in the test split, and in both."""
+    families = {
+        "transparent": (rooms.TRANSPARENT_FAMILIES, rooms.HELD_OUT_TRANSPARENT),
+        "reflective": (rooms.REFLECTIVE_FAMILIES, rooms.HELD_OUT_REFLECTIVE),
+    }
+    rows = []
+    for name, (train, test) in families.items():
+        parts = (
+            [f for f in train if f not in test],
+            [f for f in test if f not in train],
+            [f for f in train if f in test],
+        )
+        rows.append([name, *(", ".join(dict.fromkeys(part)) for part in parts)])
+    return table(["things", "rooms_train and rooms_val alone", "rooms alone", "both"], rows).replace("---:", "---")
+
+
+def contact_sheet(samples: Sequence[Sample], path: Path, shared: bool = True) -> None:
+    """Draw every :data:`STRIDE`-th sample in full colour; ``shared`` gives all depths the same limits."""
+    figure = viz.contact_sheet(samples[::STRIDE], columns=8, shared=shared)
     Figure.savefig(figure, path, dpi=130, pil_kwargs={"optimize": True})
 
 
 def seeds(samples: Sequence[Sample]) -> str:
     """Return the first and the last seed, and which between them were passed over."""
     used = [s.meta["seed"] for s in samples]
-    gone = sorted(set(range(used[-1] + 1)) - set(used))
+    gone = sorted(set(range(used[0], used[-1] + 1)) - set(used))
     return f"{used[0]} to {used[-1]}" + (f" without {', '.join(map(str, gone))}" if gone else "")
+
+
+def made_table(splits: dict[str, list[Sample]]) -> str:
+    """Return how many scenes each split has, of which seeds, and how many are special."""
+    rows = []
+    for split, samples in splits.items():
+        infrared = sum(s.ir_left is not None for s in samples)
+        empty = sum(s.meta.get("empty", False) for s in samples)
+        rows.append([split, str(len(samples)), seeds(samples), str(empty), str(infrared)])
+    return table(["split", "scenes", "seeds", "meant to be without glass and metal", "with infrared pair"], rows)
+
+
+def training_scenes(folders: Sequence[Path], stand_in: Sequence[Sample]) -> tuple[Sequence[Sample], str]:
+    """Return the scenes of the folders and what to call them; the shipped ``stand_in`` where no folder has any."""
+    found = [samples for samples in map(read_all, folders) if samples]
+    origin = "rendered training" if found else f"shipped {stand_in[0].meta['split']}"
+    groups = found or [stand_in]
+    listed = "; ".join(f"{g[0].meta['seed']} to {g[-1].meta['seed']}" for g in groups)
+    return [s for group in groups for s in group], f"{origin} scenes (seeds {listed})"
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenes", type=Path, default=ROOT / "outputs" / "scenes" / "train")
+    rendered = ROOT / "outputs" / "scenes"
+    parser.add_argument("--scenes", type=Path, nargs="+", default=[rendered / "train"])
+    parser.add_argument("--rooms", type=Path, nargs="+", default=[rendered / "rooms_train"])
     parser.add_argument("--real", type=Path)
     options = parser.parse_args(arguments)
-    splits = {split: read_all(SAMPLES / split) for split in SPLITS if list_samples(split)}
-    rendered = read_all(options.scenes)
-    wide = rendered or splits["train"]
-    last = wide[-1].meta["seed"]
-    which = f"{'rendered' if rendered else 'shipped'} training scenes (seeds 0 to {last})"
+    tops, room = (
+        {s: read_all(SAMPLES / s) for s in names if (SAMPLES / s).is_dir()} for names in (SPLITS, ROOM_SPLITS)
+    )
+    wide, which = training_scenes(options.scenes, tops["train"])
+    wide_rooms, which_rooms = training_scenes(options.rooms, room["rooms_val"])
     real = list(ClearGrasp(options.real)) if options.real else []
-    contact_sheet(splits["test"], SAMPLES / "contact_sheet.png")
-    columns = ({"train, all rendered": rendered} if rendered else {}) | splits
-    infrared = {split: sum(s.ir_left is not None for s in samples) for split, samples in splits.items()}
-    made = [[split, str(len(s)), seeds(s), str(infrared[split])] for split, s in splits.items()]
+    contact_sheet(tops["test"], SAMPLES / "contact_sheet.png")
+    contact_sheet(room["rooms"], SAMPLES / "contact_sheet_rooms.png", shared=False)
+    columns = {"train, all rendered": wide} if wide is not tops["train"] else {}
+    room_columns = {"rooms_train, rendered": wide_rooms} if "rendered" in which_rooms else {}
+    height, width = simulate.ROOM_SIZE
     card = TEXT.format(
         stride=STRIDE,
-        made=table(["split", "scenes", "seeds", "with infrared pair"], made),
+        made=made_table(tops | room),
+        paths=simulate.ROOM_SAMPLES,
+        infrared_paths=simulate.ROOM_INFRARED_SAMPLES,
+        size=f"{width} x {height}",
         loss=", ".join(f"{int(c)} {c.name}" for c in LossType),
         cause=", ".join(f"{int(c)} {c.name}" for c in Cause),
         realism=realism_section(wide, real, which),
-        splits=split_table(columns),
-        difference=largest_difference(splits["test"], wide),
+        room_realism=realism_section(wide_rooms, real, which_rooms),
+        legend="\n".join(f"- `{key}`: {meaning}" for key, meaning in realism.STATISTICS.items()),
+        few=few(real),
+        splits=split_table(columns | tops),
+        room_splits=split_table(room_columns | room),
+        difference=largest_difference(tops["test"], wide),
+        room_difference=largest_difference(room["rooms"], wide_rooms),
         families=family_table(),
+        room_families=room_table(),
+        photographs=", ".join(textures.PHOTOGRAPHS),
+        held_out_photographs=", ".join(textures.HELD_OUT_PHOTOGRAPHS),
+        places=len(textures.SURROUNDINGS),
+        held_out_places=", ".join(textures.HELD_OUT_SURROUNDINGS),
     )
     (SAMPLES / "README.md").write_text(card, encoding="utf-8")
     size = sum(p.stat().st_size for p in SAMPLES.rglob("*") if p.is_file())
-    print(
-        f"{SAMPLES / 'README.md'}: {len(wide)} {which}; bias {baselines.measure_bias(wide):.4f} m; {size / 1e6:.1f} MB"
-    )
+    bias = baselines.measure_bias(wide)
+    print(f"{SAMPLES / 'README.md'}: {len(wide)} {which}; bias {bias:.4f} m; {size / 1e6:.1f} MB")
     return 0
 
 
 TEXT = """# Rendered scenes: data card
 
-Table-top scenes with transparent and reflective objects, seen by a simulated active-stereo depth camera, with the
-truth about every pixel: depth, object, material, what the sensor did there and why. They are made by this
-repository, from nothing but seeds; no photograph, scan or other data set went in. This card and its tables are
-written by `python tools/data_card.py`.
+Scenes with transparent and reflective objects, seen by a simulated active-stereo depth camera, with the truth about
+every pixel: depth, object, material, what the sensor did there and why. There are two kinds, each with its own
+simulator: **table tops** (splits `train`, `val`, `test`) and **rooms** (`rooms_train`, `rooms_val`, `rooms`). This card
+and its tables are written by `python tools/data_card.py`.
 
-![Every scene shown here follows from a fixed stride: colour with region outline, raw depth, truth](contact_sheet.png)
+![Table tops, by a fixed stride: colour with region outline, raw depth, truth](contact_sheet.png)
 
-Every {stride}th scene of the test split: colour with the outline of the region, raw depth (grey is missing), truth.
+Every {stride}th scene of `test`: colour with the outline of the region, raw depth (grey is missing), truth.
+
+![Rooms, by a fixed stride: colour with region outline, raw depth, truth](contact_sheet_rooms.png)
+
+Every {stride}th scene of `rooms`, likewise; each with depth limits of its own, since one is a palm wide and another a
+hall. Some have neither glass nor metal.
+
+## What went in
+
+- Table tops: nothing but seeds. No photograph, scan or other data set.
+- Rooms: seeds and photographs. {places} panoramas of [environments](environments/README.md) (CC0), and four others for
+  `rooms`, light the scenes, are mirrored in them, stand behind them and hang on their walls. Crops of photographs that
+  come with scikit-image (CC0, public domain or without known copyright restrictions, as scikit-image says) are on
+  some surfaces. Shapes, all other textures and the sensor follow from the seed.
+- No frame of a real camera is part of either, and nothing was trained on one. But real frames outside this repository
+  were looked at while the simulators and the system were designed: frames 80 and 123 of ClearGrasp (RealSense D435),
+  frames of a RealSense D415 with bottles and glasses, one of a RealSense SR300 with wine glasses in a bin, one of a PET
+  bottle (RealSense D4xx), and controls without glass or without truth. None of them is a blind test of anything here.
 
 ## How they were made
+
+### Table tops
 
 `python -m ditr_lite simulate --out DIR` (`make samples`) renders them again: Mitsuba 3, `scalar_rgb`, path-traced RGB
 (four passes of four paths a pixel, their median, then a camera's own denoising) and an infrared pair under a projected
 dot pattern (five paths a pixel), semi-global block matching, dropouts, reprojection into the RGB view.
 `scenes.py`, `render.py`, `stereo.py` and `simulate.py` in `ditr_lite/simulator` are the whole recipe. A scene follows
-from split and seed alone.
-
-{made}
-
-Seeds are taken from 0 upwards. A seed is passed over when less than 0.5 % of its picture is transparent or
-reflective, or when the sensor reads less than a quarter of the pixels. The same seed, on the same machine and the
-versions in `environment.txt`, gives the same bytes; other processors may round the last digit differently. More
-training scenes than fit here: `python -m ditr_lite simulate --split train --count 1500 --out outputs/scenes`.
+from split and seed alone. A seed is passed over when less than 0.5 % of its picture is transparent or
+reflective, or when the sensor reads less than a quarter of the pixels.
 
 Eight pictures were rendered with their two lamps in the other order, so that rendering them again leaves other noise
 in `rgb.jpg` and nothing else: test_00007, 42, 64, 73, 108, 113, 120 and 132.
 
-License: Creative Commons Attribution 4.0 International (CC BY 4.0), see `LICENSE-CC-BY-4.0`.
+### Rooms
+
+`python -m ditr_lite simulate --split rooms --out DIR` renders them. A scene stands on a bounded table, on the floor, in
+a corner, in a bin, on a shelf, or far away in a hall, 0.1 to 3 m from the camera, with a room behind it: walls 1.5 to
+6 m away, furniture, posters. Vessels stand, lie or lean; some hold a liquid, some have a cap or a label. Mitsuba 3
+traces {paths} paths a pixel, Intel Open Image Denoise cleans the picture, then come a lens's blur and a sensor's noise.
+The infrared pair ({infrared_paths} paths a pixel) has a baseline and search range that suit the distance. Half of the
+sensors also give stray readings, far too near or far too far. `rooms.py` and `forms.py` in `ditr_lite/simulator` draw
+the scenes; `render.py`, `textures.py`, `stereo.py` and `simulate.py` do the rest.
+
+Half of the far scenes and 7 % of the others are meant to show nothing transparent or reflective. A seed is passed over
+when less than 0.2 % of the picture is, without being meant; when truth is known of less than 60 % of the pixels; when
+nine tenths of them are nearer than 8 cm; or when the sensor reads less than a quarter.
+
+### Both
+
+{made}
+
+Seeds are taken from 0 upwards. The same seed, on the same machine and the versions in `environment.txt`, gives the same
+bytes; other processors may round the last digit differently.
+
+More training scenes than fit here, and all of `rooms_train`, of which none is here:
+
+    python -m ditr_lite simulate --split train --count 1500 --out outputs/scenes
+    python -m ditr_lite simulate --split rooms_train --count 300 --out outputs/scenes
+
+### What the shipped weights were trained on
+
+| split | scenes | how to render them again |
+|---|---:|---|
+| train | 468 | `--split train --count 468` |
+| rooms_train | 114 | `--split rooms_train --count 114 --first-seed 5000` |
+| rooms_train | 5 | `--split rooms_train --count 5 --first-seed 20000` |
+| rooms_train | 159 | cannot be rendered again to the byte |
+
+The last row (seeds 0 to 163) was made by an earlier state of `rooms.py` and `simulate.py`, with 5 paths a pixel
+instead of {paths}, smaller things, and fewer vessels among them. The same seeds give other scenes now.
+
+License: Creative Commons Attribution 4.0 International (CC BY 4.0), see `LICENSE-CC-BY-4.0`; the panoramas in
+`environments` are in the public domain (CC0).
 
 ## Files
 
-One folder a scene, `SPLIT/SPLIT_SEED/`; all maps are 256 x 192 pixels in the view of the RGB camera.
+One folder a scene, `SPLIT/SPLIT_SEED/`; all maps are 256 x 192 pixels (rooms: {size}) in the view of the RGB camera.
 
 | file | what it is |
 |---|---|
@@ -187,7 +307,7 @@ One folder a scene, `SPLIT/SPLIT_SEED/`; all maps are 256 x 192 pixels in the vi
 | `depth.png` | raw sensor depth, 16 bit, millimetres, 0 = missing |
 | `depth_gt.png` | depth of the first surface, glass included, 16 bit, millimetres, 0 = unknown |
 | `material.png` | 0 opaque, 1 transparent, 2 reflective; the region is what is not 0 |
-| `instances.png` | 0 table, walls and floor; k the k-th entry of `things` in `meta.json` |
+| `instances.png` | 0 table, walls, floor and furniture; k the k-th entry of `things` in `meta.json` |
 | `loss.png` | {loss} |
 | `cause.png` | {cause} |
 | `ir_left.png`, `ir_right.png` | rectified infrared pair, 8 bit, 360 x 232, of some scenes only |
@@ -198,7 +318,19 @@ the depths before these were rounded to millimetres. In Python: `dl.load_sample(
 
 ## How they compare with a real camera
 
+### Table tops
+
 {realism}
+
+### Rooms
+
+{room_realism}
+
+### What the statistics mean
+
+{legend}
+
+{few}
 
 ## The splits
 
@@ -206,7 +338,14 @@ Each statistic is taken frame by frame; the tables of shares count pixels.
 
 {splits}
 
-## What the test split holds out
+{room_splits}
+
+In rooms, each part of a thing counts: a bottle, what is in it, its cap and its label are up to four. The bias inside is
+larger there because what one sees through glass may be a wall metres behind.
+
+## What the test splits hold out
+
+### Table tops
 
 Training and validation scenes share shapes and materials. In the test split no transparent or reflective thing has
 a shape that they have; opaque things, tables, walls, light, cameras and sensor settings are drawn alike.
@@ -224,6 +363,32 @@ So the colour of a mirror alone tells the test split from training, and its thin
 finer than anything there. Of the statistics above, the median of test differs most from that of training in
 {difference}.
 
+The shipped weights were trained on `rooms_train`, too. It has none of the vessels that `test` holds out, but flutes,
+which have stems, and discs of glass, which have the outline of the round mirrors.
+
+### Rooms
+
+Vessels of `rooms` have outlines that `rooms_train` does not have. Not all shapes are held out: panes and plates of
+glass, mirrors that stand, and metal rods (tools) are in both, and flat mirrors of some outline, too. In `meta.json`
+panes, plates and mirrors are called `plate_mirror` or `round_mirror` after their mesh, and a rod `cylinder`.
+
+{room_families}
+
+The flute, a tall glass on a stem, is in training alone, yet its stem is like that of the held-out wine glass. Opaque
+things, drawn textures, tables, rooms, cameras and sensor settings are drawn alike; liquids have the same refractive
+index.
+
+| material | rooms_train and rooms_val | rooms |
+|---|---|---|
+| surroundings | {places} panoramas | {held_out_places} |
+| photographs on surfaces | {photographs} | {held_out_photographs} |
+| glass: refractive index | 1.45 to 1.56 | 1.36 to 1.43 or 1.57 to 1.70 |
+| metal | silver, aluminium, chromium | silver, copper, gold |
+| brushed metal: roughness | 0.05 to 0.18 | 0.15 to 0.25 |
+
+Of the statistics above, the median of `rooms` differs most from that of training in
+{room_difference}.
+
 ## Known limits
 
 - The camera is ideal: no lens distortion, no rolling shutter, no motion blur, no chromatic error, no auto-exposure
@@ -233,14 +398,20 @@ finer than anything there. Of the statistics above, the median of test differs m
   filter, no interference of a second projector, no sunlight.
 - Light is traced in three colours: glass does not disperse it, and no caustic is sharp at this number of paths. In
   infrared each wall of glass passes a share that is drawn, not derived from the material.
-- Vessels are empty: no liquid, no labels, no scratches, no dust, no fingerprints. Shapes are bodies of revolution,
-  prisms, boxes and plates; no handles, no cloth, no people, no clutter beyond a dozen things on a table.
-- Opaque surfaces carry procedural textures in colours more vivid than most rooms have.
+- On table tops vessels are empty; in rooms a liquid touches no wall, and a film of air shows around it. No scratches,
+  no dust, no fingerprints anywhere. Shapes are bodies of revolution, prisms, boxes and plates; no handles, no folds, no
+  people, no clutter beyond a dozen things on a table top and some twenty in a room.
+- Opaque surfaces of table tops carry procedural textures in colours more vivid than most rooms have. Rooms are
+  built of boxes, and at {paths} paths a pixel the denoiser takes fine texture away, most in glass and mirrors.
+- Outside glass and metal the sensor of the rooms is noisier than either real frame above: more than a tenth of
+  their pixels are wrong there, most often on walls beyond 2 m.
+- A panorama has no depth: where a room ends in it, the truth is unknown (0), and nothing is scored.
 - Things stand, lie or lean as they were put, without physics. Some things that lie rest on their bounding box:
   lying hexagons, stars, vases and wine glasses hover by up to 11 mm, most by 1 to 3.
-- At 256 x 192 a stem is two pixels wide, and so is the parallax shadow of a thing a few centimetres high.
-  `PARALLAX` and `STEREO_OCCLUSION` forgive a pixel at either side and yield to `DROPOUT`, so they cover few pixels:
-  geometric loss here is mostly dropouts and surfaces without a match. Real frames of 1280 x 720 show wider shadows.
+- On table tops, at 256 x 192, a stem is two pixels wide, and so is the parallax shadow of a thing a few centimetres
+  high. `PARALLAX` and `STEREO_OCCLUSION` forgive a pixel at either side and yield to `DROPOUT`, so they cover few
+  pixels: geometric loss here is mostly dropouts and surfaces without a match. Real frames of 1280 x 720 show wider
+  shadows.
 - Thin glass is one sheet without a thickness; truth is its outer surface, and the inside of a bowl is not labelled
   apart.
 """

@@ -17,6 +17,7 @@ import ditr_lite as dl
 from ditr_lite import metrics, viz
 from ditr_lite.data import Sample
 from ditr_lite.files import written_whole
+from ditr_lite.viz.panels import WIDTH_IN, add_bar
 
 LEAST = 0.05  # share of the image
 AT = (0.25, 0.5, 0.75)  # of the ranking
@@ -50,7 +51,7 @@ def off_mm(depth: np.ndarray, truth: np.ndarray, region: np.ndarray) -> float:
 
 def draw(samples: list[Sample], depths: list[np.ndarray]) -> viz.Picture:
     """Draw a row a scene: colour, raw, completed and true depth, and the error of the completed one."""
-    picture = viz.Picture(viz.WIDTH_IN, 2.0 * len(samples))
+    picture = viz.Picture(WIDTH_IN, 2.0 * len(samples))
     axes = picture.subplots(len(samples), 5, squeeze=False)
     for row, sample, depth in zip(axes, samples, depths, strict=True):
         at = cut(sample.region)
@@ -61,7 +62,7 @@ def draw(samples: list[Sample], depths: list[np.ndarray]) -> viz.Picture:
         viz.depth(row[2], completed, limits, f"DITR: {off_mm(completed, truth, region):.0f} mm off in glass", bar=False)
         viz.depth(row[3], truth, limits, "truth", bar=False)
         image = viz.error(row[4], completed, truth, ERROR_MM, "DITR's error", bar=False)
-        viz.add_bar(picture, image, row[4], "error")
+        add_bar(picture, image, row[4], "error")
     return picture
 
 

@@ -8,7 +8,9 @@ from .base import FrameFolder, teachable
 from .cleargrasp import ClearGrasp, ClearGraspSynthetic
 from .dreds import DREDS, STD
 from .folder import Folder
-from .others import TODD, TROSD, TransCG
+from .todd import TODD
+from .transcg import TransCG
+from .trosd import TROSD
 
 __all__ = [
     "DREDS",

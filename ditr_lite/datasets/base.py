@@ -4,10 +4,8 @@ A reader looks for file names when made, reads a frame when indexed, holds no op
 process, so ``torch.utils.data.DataLoader`` takes it as it is. Nothing is downloaded.
 """
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -40,6 +38,7 @@ class FrameFolder:
             )
         globs = (self.frame,) if isinstance(self.frame, str) else self.frame
         found = [path for glob in globs for path in self.find(glob)] if self.root.is_dir() else []
+        found = [path for path in found if not is_hidden(path, self.root)]
         names = (path.relative_to(self.root).as_posix().removesuffix(self.suffix) for path in found)
         self.names = sorted(name for name in names if split is None or self.in_split(name))
         if not self.names:
@@ -64,7 +63,11 @@ class FrameFolder:
         if isinstance(index, str) and index not in self.names:
             raise ValueError(f"no frame called {index!r} in {self.root}; see .names")
         name = index if isinstance(index, str) else self.names[index]
-        sample = self.read(name, self.root / name)
+        try:
+            sample = self.read(name, self.root / name)
+        except (KeyError, TypeError, IndexError, AttributeError) as error:  # of a description with odd entries
+            kind = type(self).__name__
+            raise ValueError(f"{name} in {self.root} holds other things than a frame of {kind}: {error!r}") from None
         for key in ("depth", "depth_gt", "region"):
             array = getattr(sample, key)
             if array is not None and array.shape != sample.rgb.shape[:2]:
@@ -95,27 +98,14 @@ def teachable(sample: Sample) -> dict[str, np.ndarray]:
     return {"optical": region & known, "geometric": ~region & known & (sample.depth == 0)}
 
 
+def is_hidden(path: Path, root: Path) -> bool:
+    """Return whether a file below ``root``, or a folder that it is in, has a name with a dot in front."""
+    return any(part.startswith(".") for part in path.relative_to(root).parts)
+
+
 def beside(stem: Path, suffix: str) -> Path:
     """Return the file of a frame that ends in ``suffix``."""
     return stem.with_name(stem.name + suffix)
-
-
-def text(path: Path) -> str:
-    """Return what a text file holds, or a ValueError that names it."""
-    if not path.is_file():
-        raise ValueError(f"no file {path}")
-    return path.read_text()
-
-
-def described(path: Path) -> dict[str, Any]:
-    """Return the object that a JSON file holds, or a ValueError that names the file."""
-    try:
-        held = json.loads(text(path))
-    except json.JSONDecodeError as error:
-        raise ValueError(f"cannot read {path} as JSON: {error}") from None
-    if not isinstance(held, dict):
-        raise ValueError(f"{path} should hold a JSON object, got {type(held).__name__}")
-    return held
 
 
 def red(path: Path) -> np.ndarray:

@@ -3,7 +3,6 @@
 Paper: Sec. V-A and V-C, Table I.
 """
 
-import json
 import math
 from pathlib import Path
 
@@ -11,8 +10,8 @@ import numpy as np
 
 from ..camera import Camera
 from ..data import OPAQUE, TRANSPARENT, Sample
-from ..files import read_depth, read_intrinsics, read_mask, read_rgb
-from .base import FrameFolder, beside, text
+from ..files import read_depth, read_intrinsics, read_json, read_mask, read_rgb
+from .base import FrameFolder, beside
 
 FIELD_OF_VIEW = (1.2112585306167603, 0.7428327202796936)  # radians across and down, where a JSON does not say
 
@@ -93,7 +92,10 @@ class ClearGraspSynthetic(FrameFolder):
 
 def _field_of_view(path: Path) -> tuple[float, float]:
     try:
-        angles = json.loads(text(path))["camera"]["field_of_view"]
-        return float(angles["x_axis_rads"]), float(angles["y_axis_rads"])
+        angles = read_json(path)["camera"]["field_of_view"]
+        found = float(angles["x_axis_rads"]), float(angles["y_axis_rads"])
     except (KeyError, TypeError, ValueError):  # the public loaders fall back to the same camera
         return FIELD_OF_VIEW
+    if not all(0 < angle < math.pi for angle in found):
+        raise ValueError(f"{path} should give a field of view between 0 and pi radians, got {found}")
+    return found

@@ -9,8 +9,8 @@ import numpy as np
 
 from ..camera import Camera
 from ..data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample
-from ..files import read_array, read_depth, read_labels, read_rgb
-from .base import FrameFolder, beside, text
+from ..files import read_array, read_depth, read_labels, read_rgb, read_text
+from .base import FrameFolder, beside
 
 MATERIALS = {2: TRANSPARENT, 3: REFLECTIVE}  # 0 and 1 are diffuse
 BACKGROUND = 255  # of the instance masks
@@ -91,7 +91,7 @@ class DREDS(STD):
 def _materials(path: Path) -> list[tuple[int, int]]:
     """Return (instance id, code of its material) of every row of a frame's description."""
     rows = []
-    for number, line in enumerate(text(path).splitlines(), 1):
+    for number, line in enumerate(read_text(path).splitlines(), 1):
         words = line.split()
         try:
             if words:

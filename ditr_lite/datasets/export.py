@@ -14,11 +14,10 @@ from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
-import OpenEXR
 
 from ..camera import Camera
 from ..data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample
-from ..files import written_whole
+from ..files import write_exr, write_picture, written_whole
 from ..units import depth_to_png
 from .dreds import BACKGROUND
 
@@ -191,25 +190,18 @@ def _ids(sample: Sample) -> np.ndarray:
 
 
 def _picture(path: Path, image: np.ndarray) -> None:
-    stored = image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
-    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
-    data = cv2.imencode(path.suffix, stored, options)[1].tobytes()
-    with written_whole(path) as part:
-        part.write_bytes(data)
+    write_picture(path, image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY) if path.suffix == ".jpg" else ())
 
 
 def _exr(path: Path, depth: np.ndarray, half: bool = False) -> None:
-    channel = depth.astype(np.float16 if half else np.float32)
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with written_whole(path) as part:
-        OpenEXR.File(header, {c: channel.copy() for c in "RGB"}).write(str(part))
+    write_exr(path, dict.fromkeys("RGB", depth.astype(np.float16 if half else np.float32)))
 
 
 def _text(path: Path, content: str, once: bool = False) -> None:
     if once and path.exists():
         return
     with written_whole(path) as part:
-        part.write_text(content)
+        part.write_text(content, encoding="utf-8")
 
 
 def _matrix(path: Path, camera: Camera) -> None:

@@ -1,14 +1,15 @@
 """Any camera: a folder of your own frames, colour and depth under the same names."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from ..data import OPAQUE, TRANSPARENT, Sample
-from ..files import read_depth, read_intrinsics, read_mask, read_rgb
+from ..files import COLOUR, DEPTH, MASK, read_depth, read_intrinsics, read_mask, read_rgb
 from .base import FrameFolder
 
-COLOUR, DEPTH, CAMERAS = (".png", ".jpg", ".jpeg"), (".png", ".npy", ".exr"), ("intrinsics.txt", "intrinsics.npy")
+CAMERAS = tuple(f"intrinsics{ending}" for ending in (".txt", ".npy", ".yaml", ".yml", ".json"))
 
 
 class Folder(FrameFolder):
@@ -17,23 +18,29 @@ class Folder(FrameFolder):
     Args:
         root: the folder.
         split: None; a folder of one's own has no splits.
-        depth_scale: metres per unit of whole-number depth (0.001: millimetres).
+        depth_scale: metres per unit of depth; None for millimetres of whole numbers and metres of others.
     """
 
-    layout = "rgb/NAME.{png,jpg}, depth/NAME.{png,npy,exr}; may have region/NAME.png, truth/NAME.*, intrinsics.txt"
-    frame = tuple(f"depth/*{ending}" for ending in DEPTH)
+    layout = (
+        "rgb/NAME.{png,jpg,...}, depth/NAME.{png,tif,npy,exr}; may have region/NAME.png, truth/NAME.*, intrinsics.txt"
+    )
+    frame = "depth/*"
     protocol = "Depth aligned to the colour picture, 0 = missing. Without truth/ there is nothing to score: look."
 
-    def __init__(self, root: Path | str, split: str | None = None, depth_scale: float = 0.001):
+    def __init__(self, root: Path | str, split: str | None = None, depth_scale: float | None = None):
         self.depth_scale = depth_scale
         super().__init__(root, split)
+
+    def find(self, glob: str) -> Iterable[Path]:
+        """Return the depth maps below the root, whatever the case of their suffix."""
+        return (path for path in super().find(glob) if path.suffix.lower() in DEPTH)
 
     def read(self, name: str, stem: Path) -> Sample:
         """Read one frame."""
         folder, known = stem.parents[1], stem.stem
         rgb = read_rgb(_one(folder / "rgb", known, COLOUR))
-        mask, truth = folder / "region" / f"{known}.png", _find(folder / "truth", known, DEPTH)
-        region = read_mask(mask) if mask.is_file() else None
+        mask, truth = _find(folder / "region", known, MASK), _find(folder / "truth", known, DEPTH)
+        region = read_mask(mask) if mask else None
         camera = next((folder / c for c in CAMERAS if (folder / c).is_file()), None)
         return Sample(
             name=name,
@@ -48,7 +55,11 @@ class Folder(FrameFolder):
 
 
 def _find(folder: Path, name: str, endings: tuple[str, ...]) -> Path | None:
-    return next((folder / (name + ending) for ending in endings if (folder / (name + ending)).is_file()), None)
+    """Return the file of a folder that is called so, with one of the endings in any case, or None."""
+    if not folder.is_dir():
+        return None
+    named = (path for path in sorted(folder.iterdir()) if path.stem == name and path.suffix.lower() in endings)
+    return next(named, None)
 
 
 def _one(folder: Path, name: str, endings: tuple[str, ...]) -> Path:

@@ -1,8 +1,73 @@
-"""Checkers for the exercises on the whole pipeline: what a branch may see, what samples say together, what it costs."""
+"""Checkers for the exercises on the whole pipeline: windows, what is known, what samples say, what it costs."""
 
 import numpy as np
 
 from .checker import Function, check
+
+
+def check_square(attempt: Function) -> bool:
+    """Check ``attempt(box, shape) -> (top, left, side)``: the window of a blob, as ``windows.square`` gives it.
+
+    ``box`` is (top, left, bottom, right) with exclusive ends, ``shape`` (H, W). The side is twice the longer side of
+    the box, at least a fifth of the frame's longer side and at most that side; the square has the box in its middle
+    and is moved into the frame. In all cases it fits there, and the numbers are whole.
+    """
+
+    def side_of(box, shape, margin=2, least=0.2):
+        side = max(margin * max(box[2] - box[0], box[3] - box[1]), least * max(shape))
+        return min(round(side), max(shape))
+
+    def corner(box, side):
+        return np.array([(box[0] + box[2] - side) // 2, (box[1] + box[3] - side) // 2])
+
+    def right(box, shape, side=None):
+        side = side_of(box, shape) if side is None else side
+        top, left = np.clip(corner(box, side), 0, np.array(shape) - side)
+        return np.array([top, left, side])
+
+    def with_side(find):
+        return lambda box, shape: right(box, shape, find(box, shape))
+
+    def about(middle):
+        def attempt(box, shape):
+            side = side_of(box, shape)
+            return np.array([*np.clip(middle(np.array(box), side), 0, np.array(shape) - side), side])
+
+        return attempt
+
+    cases = [
+        ((40, 60, 60, 130), (200, 300)),  # wide
+        ((10, 100, 90, 130), (200, 300)),  # tall, near the upper border
+        ((180, 280, 190, 292), (200, 300)),  # small, in a corner: the least side counts
+    ]
+    mistakes = {
+        "it must lie in the frame: move it, without changing its side": lambda b, s: np.array(
+            [*corner(b, side_of(b, s)), side_of(b, s)]
+        ),
+        "the side is twice the *longer* side of the box": with_side(
+            lambda b, s: max(2 * min(b[2] - b[0], b[3] - b[1]), round(0.2 * max(s)))
+        ),
+        "the side is twice the box's height: a wide blob would not fit": with_side(
+            lambda b, s: max(2 * (b[2] - b[0]), round(0.2 * max(s)))
+        ),
+        "the side is twice the box's width: a tall blob would not fit": with_side(
+            lambda b, s: max(2 * (b[3] - b[1]), round(0.2 * max(s)))
+        ),
+        "there is no room around the blob: the side is twice that of the box": with_side(
+            lambda b, s: side_of(b, s, margin=1)
+        ),
+        "the side is at least a fifth of the frame's longer side": with_side(lambda b, s: side_of(b, s, least=0)),
+        "a fifth of the frame's *longer* side, not of the shorter": with_side(
+            lambda b, s: max(2 * max(b[2] - b[0], b[3] - b[1]), round(0.2 * min(s)))
+        ),
+        "the box should lie in the middle, not in the upper left corner": about(lambda b, side: b[:2]),
+        "rows and columns are swapped": lambda b, s: right(b, s)[[1, 0, 2]],
+        "the order is top, left, side": lambda b, s: right(b, s)[[2, 0, 1]],
+        "that are the ends of the square; top, left and side are wanted": lambda b, s: np.array(
+            [*right(b, s)[:2], *(right(b, s)[:2] + right(b, s)[2])]
+        ),
+    }
+    return check("window of a blob", attempt, right, cases, mistakes, rtol=1e-9)
 
 
 def check_given(attempt: Function) -> bool:

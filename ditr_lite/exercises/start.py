@@ -8,7 +8,7 @@ still runs to its end.
 import numpy as np
 
 from ..camera import Camera
-from .checker import Function, announce, check
+from .checker import Function, check
 
 
 def check_disparity_to_depth(attempt: Function) -> bool:
@@ -94,53 +94,6 @@ def check_compose(attempt: Function) -> bool:
         ),
     }
     return check("composition", attempt, right, [(depth, optical, geometric, region)], mistakes, rtol=0)
-
-
-def check_normalise(attempt: Function) -> bool:
-    """Check ``attempt(depth, raw) -> (depth_n, low, high)``: low becomes -1 and high 1, bounds (metres) from ``raw``.
-
-    How the bounds are taken (extremes, quantiles, a margin) is free. They must ignore missing pixels and everything in
-    ``depth`` (the ground truth, in training), and the map must be invertible: affine, not clipped.
-    """
-    rng = np.random.default_rng(2)
-    raw = rng.uniform(0.5, 0.8, (12, 16)).astype(np.float32)
-    raw[:3, :4] = 0
-    truth = (raw + 0.2 * rng.random(raw.shape)).astype(np.float32)
-    truth[0, 0], truth[5, 5] = 0.3, 1.5  # beyond every bound that raw can give
-
-    def problem() -> str | None:
-        result = attempt(truth.copy(), raw.copy())
-        if not isinstance(result, tuple) or len(result) != 3:
-            return "three values are wanted: the normalised map, low and high"
-        normalised, low, high = result
-        if np.shape(normalised) != truth.shape:
-            return f"the map should keep its shape {truth.shape}, got {np.shape(normalised)}"
-        _, low_other, high_other = attempt((truth * 3).astype(np.float32), raw.copy())
-        if (low, high) != (low_other, high_other):
-            return "ground truth leaks: the bounds change with the first argument, take them from raw alone"
-        if not low > 0:
-            return (
-                f"missing pixels (0) are counted: low is {low}, the smallest valid reading {raw[raw > 0].min():.3f} m"
-            )
-        if high > 100:
-            return "the bounds look like millimetres; metres are wanted"
-        if not 0.3 < low < high < 1.2:
-            return f"the bounds ({low:.3f}, {high:.3f}) do not fit raw readings from 0.5 to 0.8 m"
-        wanted = 2 * (truth.astype(np.float64) - low) / (high - low) - 1
-        if np.allclose(normalised, (wanted + 1) / 2, atol=1e-4):
-            return "that maps to [0, 1]; low should become -1 and high 1"
-        if np.allclose(normalised, np.clip(wanted, -1, 1), atol=1e-4):
-            return "the map is clipped, so it cannot be inverted: let values leave [-1, 1]"
-        if np.allclose(normalised, -wanted, atol=1e-4):
-            return "the sign is reversed: low should become -1"
-        if not np.allclose(normalised, wanted, atol=1e-4):
-            return "the map is not 2 (depth - low) / (high - low) - 1, so metres cannot be recovered from low and high"
-        flat = np.full_like(raw, 0.7)
-        if not np.isfinite(attempt(flat, flat)[0]).all():
-            return "a flat map divides by zero: keep high above low"
-        return None
-
-    return announce("normalisation", problem)
 
 
 def check_unproject(attempt: Function) -> bool:

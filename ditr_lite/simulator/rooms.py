@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from . import forms, textures
 from ..data import OPAQUE, REFLECTIVE, ROOM_SPLITS, TRANSPARENT
+from . import forms, textures
 from .render import vertices_of
 from .scenes import Scene, Thing, look_at
 

@@ -51,8 +51,8 @@ TOUCHES = {  # what has to be trained again when a setting, or one below it, cha
 }
 STAGE_ONE = ("region", "refine")  # settings that say nothing while the true region is given
 DECISIVE = (  # files and folders of the package that decide how an arm is trained; another text there, another arm
-    *("units.py", "config.py", "conditioning.py", "windows.py", "schedule.py", "diffusion.py", "encoder.py"),
-    *("region.py", "boundary", "autoencoder.py", "unet.py", "detail.py", "stage_two.py", "pipeline.py", "data.py"),
+    *("units.py", "config.py", "conditioning.py", "windows.py", "schedule.py", "diffusion.py"),
+    *("region", "boundary", "autoencoder.py", "unet.py", "detail.py", "stage_two.py", "pipeline.py", "data.py"),
     *("training/scenes.py", "training/views.py", "training/augment.py", "training/batches.py"),
     *("training/recipes.py", "training/loop.py", "training/parts.py"),
 )

@@ -306,16 +306,17 @@ def _completed(ditr: Ditr, frame: Sample, region: str) -> np.ndarray:
 
 def _error(depth: np.ndarray, frame: Sample, scale: float = 1.0) -> float | None:
     """Return the RMSE in the frame's region, divided by the scale; None where it holds no truth."""
-    if not (frame.region & (frame.depth_gt > 0)).any():
+    scored = frame.region & (frame.depth_gt > 0)
+    if not scored.any():
         return None
-    return round(metrics.rmse(depth, frame.depth_gt, frame.region) / scale, 6)
+    return round(metrics.rmse(depth[scored], frame.depth_gt[scored]) / scale, 6)
 
 
 def linear(frame: Sample) -> np.ndarray:
     """Return depth (H, W) that is interpolated linearly, inside the region, between the readings outside of it.
 
-    Between the corners of a Delaunay triangulation; beyond its border the nearest reading counts. Outside the region
-    the readings are returned as they are, 0 where there are none.
+    Between the corners of a Delaunay triangulation; beyond its border, and in holes outside the region, the nearest
+    reading counts. The result is dense.
     """
     places = np.argwhere((frame.depth > 0) & ~frame.region)
     readings = frame.depth[tuple(places.T)].astype(np.float64)
@@ -323,7 +324,7 @@ def linear(frame: Sample) -> np.ndarray:
     found = LinearNDInterpolator(places, readings)(wanted)
     beyond = np.isnan(found)
     found[beyond] = NearestNDInterpolator(places, readings)(wanted[beyond])
-    depth = frame.depth.copy()
+    depth = REGISTRY["nearest"](frame.rgb, frame.depth, frame.region)
     depth[frame.region] = found
     return depth
 
@@ -352,21 +353,22 @@ def summarise_disturbances(rows: Mapping[str, Any]) -> dict[str, Any]:
 
 def format_disturbances(table: Mapping[str, Any]) -> str:
     """Return :func:`summarise_disturbances`' table as text."""
-    width = max(len(name) for name in table)
-    lines = [" " * width + "".join(f"{f'region {r}: mm':>16}{'ratio to undisturbed':>24}" for r in REGIONS)]
+    beside = "  over linear interpolation"
+    width = max(len(name) for name in (*table, beside))
+    lines = [" " * width + "".join(f"{f'region {r}: mm':>20}{'ratio to undisturbed':>24}" for r in REGIONS)]
     for name, regions in table.items():
         line = name.ljust(width)
         for region in REGIONS:
             entry = regions[region]
             level = "-" if entry["rmse_m"] is None else f"{1000 * entry['rmse_m'][0]:.1f}"
-            line += level.rjust(16) + format_interval(entry["ratio"], style=".2f").rjust(24)
+            line += level.rjust(20) + format_interval(entry["ratio"], style=".2f").rjust(24)
         lines.append(line)
         if "of_linear" in regions["found"]:
-            line = "  over linear interpolation".ljust(width)
+            line = beside.ljust(width)
             for region in REGIONS:
                 entry = regions[region]
                 level = "-" if entry["linear_m"] is None else f"{1000 * entry['linear_m'][0]:.1f}"
-                line += level.rjust(16) + format_interval(entry["of_linear"], style=".2f").rjust(24)
+                line += level.rjust(20) + format_interval(entry["of_linear"], style=".2f").rjust(24)
             lines.append(line)
     return "\n".join(lines)
 

@@ -102,12 +102,6 @@ def shrink(scenes: Scenes, size: tuple[int, int]) -> Scenes:
     return Scenes(names=scenes.names, **small)
 
 
-def join(groups: Sequence[Scenes]) -> Scenes:
-    """Return groups of scenes of one size as one."""
-    maps = {name: np.concatenate([getattr(g, name) for g in groups]) for name in MAPS}
-    return Scenes(names=[name for g in groups for name in g.names], **maps)
-
-
 def first(scenes: Scenes, count: int | None) -> Scenes:
     """Return the first ``count`` scenes, all for None."""
     return Scenes(names=scenes.names[:count], **{name: getattr(scenes, name)[:count] for name in MAPS})

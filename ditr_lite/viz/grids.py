@@ -31,6 +31,7 @@ from .panels import (
     difference_mm,
     error,
     labels,
+    outline,
     point_cloud_side,
     rgb,
     signed_error,
@@ -145,8 +146,14 @@ def compare(sample: Sample, predictions: Mapping[str, np.ndarray], error_mm: flo
     return grid([top, errors], sample.depth_gt, sample.region, error_mm=error_mm)
 
 
-def contact_sheet(samples: Sequence[Sample], columns: int = 6) -> Picture:
-    """Draw many samples small: colour with region outline above raw depth above ground truth, limits shared by all."""
+def contact_sheet(samples: Sequence[Sample], columns: int = 6, shared: bool = True) -> Picture:
+    """Draw many samples small: colour with region outline above raw depth above ground truth.
+
+    Args:
+        samples: what to draw.
+        columns: samples beside each other.
+        shared: give all depths the same limits and one bar; otherwise each sample has the limits of its own truth.
+    """
     if not samples:
         raise ValueError("no samples to draw")
     truths = [s.depth_gt if s.depth_gt is not None else s.depth for s in samples]
@@ -162,9 +169,12 @@ def contact_sheet(samples: Sequence[Sample], columns: int = 6) -> Picture:
         block, column = divmod(k, columns)
         three = axes[3 * block : 3 * block + 3, column]
         rgb(three[0], sample.rgb, sample.region, sample.name)
-        depth(three[1], sample.depth, (low, high), "raw", bar=False)
+        limits = (low, high) if shared else depth_limits(truths[k])
+        depth(three[1], sample.depth, limits, "raw", bar=False)
         if sample.depth_gt is not None:
-            depth(three[2], sample.depth_gt, (low, high), "truth", bar=False)
+            depth(three[2], sample.depth_gt, limits, "truth", bar=False)
+    if not shared:
+        return figure
     colours = ScalarMappable(Normalize(low, high), colours_of("depth"))
     figure.colorbar(colours, ax=axes, label=BARS["depth"], extend="both", shrink=0.5, aspect=40)
     return figure
@@ -177,8 +187,11 @@ def save_panel(
     depth_out: np.ndarray,
     region: np.ndarray | None = None,
     std: np.ndarray | None = None,
+    width: int = 480,
 ) -> None:
-    """Write one row, colour with region | raw | completed | spread, as a PNG that is there whole or not at all.
+    """Write one row, colour | raw | completed | expected error, with the region outlined, as a PNG.
+
+    The file is there whole or not at all.
 
     Args:
         path: where to.
@@ -187,10 +200,19 @@ def save_panel(
         depth_out: (H, W) metres; the depth limits come from it.
         region: (H, W) bool or None.
         std: (H, W) metres or None.
+        width: of each map, in pixels at least; of a picture that is higher than wide, its height.
     """
     panels = [Panel("rgb", image, "input"), Panel("depth", depth_raw, "raw"), Panel("depth", depth_out, "completed")]
     if std is not None:
         panels.append(Panel("spread", std, "expected error"))
     figure = row(panels, region=region, limits=depth_limits(depth_out))
+    maps = figure.axes[: len(panels)]
+    if region is not None:
+        for ax in maps[1:]:
+            outline(ax, region)
+    figure.draw_without_rendering()
+    extents = [ax.get_window_extent() for ax in maps]
+    smallest = min(max(extent.width, extent.height) for extent in extents)
+    figure.set_dpi(figure.dpi * max(1.0, 1.01 * width / smallest))
     with written_whole(path) as part:
         part.write_bytes(figure.png())

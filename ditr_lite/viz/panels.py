@@ -124,13 +124,18 @@ def rgb(
     for mask, colour in zip(named.values(), OKABE_ITO, strict=False):
         if mask.shape != image.shape[:2] or mask.dtype != bool:
             raise ValueError(f"a mask should be {image.shape[:2]} bool, got {mask.shape} {mask.dtype}")
-        if mask.any():
-            ax.contour(np.pad(mask, 1), [0.5], colors=colour, linewidths=1.2, extent=_extent(mask.shape))
+        outline(ax, mask, colour)
     if any(named):
         handles = [Line2D([], [], color=colour, label=label) for label, colour in zip(named, OKABE_ITO, strict=False)]
         _legend_below(ax, handles, columns=min(len(handles), 3))
     _bare(ax, title)
     return drawn
+
+
+def outline(ax: Axes, mask: np.ndarray, colour: str = OKABE_ITO[0]) -> None:
+    """Draw the outline of a mask (H, W) bool; nothing for an empty one."""
+    if mask.any():
+        ax.contour(np.pad(mask, 1), [0.5], colors=colour, linewidths=1.2, extent=_extent(mask.shape))
 
 
 def labels(ax: Axes, codes: np.ndarray, names: Mapping[int, str], title: str = "") -> AxesImage:

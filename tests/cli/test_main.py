@@ -11,59 +11,16 @@ import cv2
 import numpy as np
 import pytest
 
-from ditr_lite import data, files, pipeline, store
-from ditr_lite.cli import DATASETS, main
-from ditr_lite.config import preset
+from ditr_lite import data, files, store
+from ditr_lite.cli import main
+from ditr_lite.cli.evaluate import DATASETS
 from ditr_lite.evaluation import timing
 from ditr_lite.training import recipes
 
 ROOT = Path(__file__).resolve().parents[2]
 REAL = ROOT.parent / "shared" / "real"
 needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="no real frames beside the repository")
-SHAPE = (64, 96)
-
-
-@pytest.fixture(scope="session")
-def weights(tmp_path_factory):
-    """Untrained weights of the tiny preset: enough to run everything."""
-    folder, config = tmp_path_factory.mktemp("weights"), preset("tiny")
-    for name, module in pipeline.build(config).items():
-        store.save_part(name, module.state_dict(), config, folder, {})
-    return folder
-
-
-@pytest.fixture(scope="session")
-def scenes(tmp_path_factory):
-    """Three small samples in each of the splits test and val."""
-    root = tmp_path_factory.mktemp("scenes")
-    rng = np.random.default_rng(0)
-    truth = np.tile(np.linspace(0.5, 0.7, SHAPE[1], dtype=np.float32), (SHAPE[0], 1))
-    material = np.zeros(SHAPE, np.uint8)
-    material[20:36, 30:50] = data.TRANSPARENT
-    for split in ("test", "val"):
-        for k in range(3):
-            rgb = rng.integers(0, 255, (*SHAPE, 3), np.uint8)
-            depth = np.where(rng.random(SHAPE) < 0.1, 0, truth + 0.03 * (material > 0)).astype(np.float32)
-            sample = data.Sample(f"{split}_{k:05d}", rgb, depth, truth, material > 0, material=material)
-            data.save_sample(sample, root / split / sample.name)
-    return root
-
-
-@pytest.fixture
-def frame(tmp_path):
-    """Return a folder with a good frame: a.png, b.png, m.png, K.txt."""
-    folder = tmp_path / "in"
-    folder.mkdir()
-    rng = np.random.default_rng(1)
-    cv2.imwrite(str(folder / "a.png"), rng.integers(0, 255, (*SHAPE, 3), np.uint8))
-    depth = np.full(SHAPE, 600, np.uint16)
-    depth[10:14, 10:20] = 0
-    cv2.imwrite(str(folder / "b.png"), depth)
-    mask = np.zeros(SHAPE, np.uint8)
-    mask[20:36, 30:50] = 255
-    cv2.imwrite(str(folder / "m.png"), mask)
-    (folder / "K.txt").write_text("90 0 47.5\n0 90 31.5\n0 0 1\n")
-    return folder
+SHAPE = (64, 96)  # of the frames in conftest.py
 
 
 def arguments(folder, weights, out, **changes):
@@ -81,7 +38,7 @@ def refused(argv, capsys):
     return lines[0].removeprefix("ditr_lite: error: ")
 
 
-@pytest.mark.parametrize("suffix", [".png", ".npy", ".exr"])
+@pytest.mark.parametrize("suffix", [".png", ".PNG", ".tif", ".npy", ".exr"])
 def test_complete_writes_dense_depth_and_keeps_readings(frame, weights, tmp_path, suffix, capsys):
     out = tmp_path / "new" / f"c{suffix}"
     assert main(arguments(frame, weights, out, region=frame / "m.png")) == 0
@@ -152,17 +109,20 @@ def keep(folder):
         (keep, {"weights": "nowhere"}, "no weights in .*nowhere"),
         (keep, {"depth": "a.png"}, "should hold one depth channel"),
         (keep, {"ply": "c.ply"}, "--ply needs the camera"),
-        (keep, {"out": "c.tif"}, "cannot write .*c.tif: expected a name ending in .png, .npy, .exr"),
+        (keep, {"out": "c.bmp"}, "cannot write .*c.bmp: expected a name ending in .png, .tif, .tiff, .npy, .exr"),
         (keep, {"out": "in/a.png/c.png"}, "cannot write .*is a file, not a folder"),
         (keep, {"panel": "c.jpg"}, "cannot write .*c.jpg"),
-        (keep, {"steps": 0}, "steps: expected 1 to 1000"),
+        (keep, {"steps": 0}, "steps: expected at least 1, got 0"),
+        (keep, {"threshold": 1.5}, "threshold: expected a probability between 0 and 1"),
+        (keep, {"refine": "4,3,1"}, "refine: expected odd kernels"),
+        (keep, {"refine": "3,3"}, "refine: expected MEDIAN,DILATE,ITERATIONS"),
         (keep, {"samples": 0}, "samples: expected at least 1"),
         (keep, {"steps": "many"}, "invalid int value: 'many'"),
-        (keep, {"depth_scale": -1}, "depth_scale should be metres per unit"),
+        (keep, {"depth_scale": -1}, "depth-scale: expected metres per unit above 0, got -1"),
         (keep, {"out": None}, "arguments are required: --out"),
         (grey, {}, "a.png is a grey picture"),
         (rgba, {}, "a.png has four channels"),
-        (other_size, {}, r"b.png is \(32, 48\), .*a.png \(64, 96\)"),
+        (other_size, {}, r"b.png is \(32, 48\), .*a.png \(64, 96\).*give --upsample-depth"),
         (eight_bits, {}, "b.png has 8 bits a pixel"),
         (all_missing, {}, "b.png holds no valid depth"),
         (nothing_finite, {"depth": "b.npy"}, "b.npy holds no valid depth"),
@@ -212,7 +172,7 @@ def test_weights_that_do_not_fit_their_card_are_refused(frame, weights, tmp_path
     (copy / "card.json").write_text(json.dumps(card))
     assert "optical weights do not fit" in refused(arguments(frame, copy, tmp_path / "c.png"), capsys)
     (copy / "card.json").write_text("[]")
-    assert "lacks config or parts" in refused(arguments(frame, copy, tmp_path / "c.png"), capsys)
+    assert "should hold a JSON object" in refused(arguments(frame, copy, tmp_path / "c.png"), capsys)
 
 
 def test_evaluate_prints_tables_and_writes_json(scenes, weights, tmp_path, capsys):
@@ -255,7 +215,7 @@ UNET = {"parameters": 1000, "gflops": 1.0, "ms": 2.0, "ms_per_gflop": 2.0}
         ([], "required: COMMAND"),
         (["fly"], "invalid choice: 'fly'"),
         (["evaluate", "--split", "west"], "unknown split 'west'"),
-        (["evaluate", "--limit", "0"], "--limit should be at least 1"),
+        (["evaluate", "--limit", "0"], "--limit: expected at least 1"),
         (["evaluate", "--dataset", "todd"], "--dataset todd needs --root"),
         (["evaluate", "--dataset", "todd", "--root", "nowhere"], "no TODD frames in nowhere"),
         (["evaluate", "--dataset", "nyu", "--root", "."], "invalid choice: 'nyu'"),
@@ -263,13 +223,13 @@ UNET = {"parameters": 1000, "gflops": 1.0, "ms": 2.0, "ms_per_gflop": 2.0}
         (["simulate", "--count", "3"], "--count needs --split"),
         (["simulate", "--sensor", "d435"], "--sensor needs --split"),
         (["simulate", "--split", "test"], "--split needs --count"),
-        (["simulate", "--split", "test", "--count", "0"], "a count >= 1"),
+        (["simulate", "--split", "test", "--count", "0"], "--count: expected at least 1"),
         (["train", "--part", "wheel"], "unknown part 'wheel'"),
         (["train", "--preset", "vast"], "unknown preset 'vast'"),
         (["train", "--set", "unet.width"], "--set expects key=value"),
         (["train", "--set", "unet.depth=3"], "unknown setting 'unet.depth'"),
         (["train", "--set", "unet.heads=0"], "unet: expected at least 1, got heads 0"),
-        (["train", "--data", str(data.SAMPLES / "val"), "--steps", "-5"], "expected at least 1 step"),
+        (["train", "--data", str(data.SAMPLES / "val"), "--steps", "-5"], "--steps: expected at least 1"),
         (
             ["train", "--data", "nowhere"],
             "no scenes in nowhere: make them with `python -m ditr_lite simulate --split train --count 1500 "
@@ -344,7 +304,7 @@ def test_a_changed_tiny_system_is_compared_with_the_default(scenes, tmp_path, fr
     assert "leave --start out" in refused([*argv, "--start", "outputs/weights"], capsys)
 
 
-def test_only_plain_lite_writes_into_the_shipped_weights(scenes, monkeypatch, capsys):
+def test_training_never_writes_into_the_shipped_weights_by_itself(scenes, monkeypatch, capsys):
     calls, commands = [], []
 
     def fake(part, config, data, val, out, work, recipe, limit, seed, boundary, start, command):
@@ -356,7 +316,7 @@ def test_only_plain_lite_writes_into_the_shipped_weights(scenes, monkeypatch, ca
     argv = ["train", "--part", "region", "--data", str(scenes / "val"), "--val", str(scenes / "val"), "--steps", "7"]
     for extra in ([], ["--preset", "tiny"], ["--set", "unet.width=64"]):
         assert main([*argv, *extra]) == 0
-    assert calls[0] == (store.WEIGHTS, Path("outputs/training"), 7)
+    assert calls[0] == (Path("outputs/weights/lite"), Path("outputs/training/lite"), 7)
     assert {str(out) for out, _, _ in calls[1:]} == {"outputs/weights/tiny", "outputs/weights/lite-unet.width=64"}
     assert len({work for _, work, _ in calls}) == 3
     assert commands[2] == shlex.join(["python", "-m", "ditr_lite", *argv, "--set", "unet.width=64"])
@@ -365,7 +325,7 @@ def test_only_plain_lite_writes_into_the_shipped_weights(scenes, monkeypatch, ca
 def test_a_comparison_does_not_replace_the_shipped_system(tmp_path, capsys):
     shutil.copy(store.WEIGHTS / "card.json", tmp_path)  # a copy, lest the test itself do the damage
     argv = ["train", "--preset", "tiny", "--set", "unet.width=16", "--out", str(tmp_path)]
-    assert "holds weights of another region, autoencoder, unet, detail, size setting" in refused(argv, capsys)
+    assert "holds weights of another region, autoencoder, unet, detail, size, window setting" in refused(argv, capsys)
     assert store.read_card(tmp_path) == store.read_card()
 
 
@@ -381,7 +341,8 @@ def test_scenes_to_validate_on_are_the_shipped_ones_wherever_it_is_called_from(s
     monkeypatch.chdir(tmp_path)
     for command in (["train", "--part", "region"], ["train-boundary"]):
         assert main([*command, "--data", str(scenes / "val")]) == 2
-    assert seen == [data.SAMPLES / "val"] * 2
+    shipped = [data.SAMPLES / split for split in ("val", "rooms_val") if (data.SAMPLES / split).is_dir()]
+    assert seen == [shipped, data.SAMPLES / "val"]
 
 
 def test_json_is_written_whole_or_not_at_all(tmp_path):

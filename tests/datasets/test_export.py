@@ -139,7 +139,7 @@ def test_a_failed_export_leaves_nothing_and_can_be_repeated(tmp_path, exists):
 
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
-    depth=hnp.arrays(np.float32, (6, 8), elements=st.floats(0, 60, width=32)),
+    depth=hnp.arrays(np.float32, (6, 8), elements=st.just(0.0) | st.floats(0.0625, 60, width=32)),
     material=hnp.arrays(np.uint8, (6, 8), elements=st.integers(0, 2)),
     name=st.sampled_from(["std", "dreds", "todd"]),
 )
@@ -161,6 +161,10 @@ def test_synthetic_cleargrasp_takes_its_camera_from_the_json_or_the_known_one(tm
     for content in (json.dumps({"variants": []}), "[]", "not json"):
         described.write_text(content)
         assert np.isclose(frames[0].camera.fx, 256 / 2 / np.tan(1.21126 / 2), rtol=1e-4)
+    for angle in (0, -1, 4, float("nan")):
+        described.write_text(json.dumps({"camera": {"field_of_view": {"x_axis_rads": angle, "y_axis_rads": 0.7}}}))
+        with pytest.raises(ValueError, match="field of view between 0 and pi"):
+            frames[0]
     described.unlink()
     assert np.isclose(frames[0].camera.fy, 192 / 2 / np.tan(0.74283 / 2), rtol=1e-4)
 
@@ -206,3 +210,22 @@ def test_a_folder_of_your_own_needs_only_two_files_a_frame(tmp_path):
     (tmp_path / "rgb" / "a.jpg").unlink()
     with pytest.raises(ValueError, match="no colour picture for a in"):
         frames[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("metadata.json", '{"train": 3, "test": [1]}'),
+        ("metadata.json", "[]"),
+        ("metadata.json", "\xff"),
+        ("scene1/metadata.json", "{}"),
+        ("scene1/metadata.json", '{"D435_valid_perspective_list": "all"}'),
+        ("scene1/metadata.json", "not json"),
+    ],
+)
+def test_odd_descriptions_of_transcg_are_named(tmp_path, name, content):
+    root = export.export("transcg", tmp_path / "r", SCENES[:1], "train")
+    (root / name).write_text(content, encoding="latin-1")
+    with pytest.raises(ValueError, match=name) as refusal:
+        datasets.TransCG(root, "train")[0]
+    assert "\n" not in str(refusal.value)

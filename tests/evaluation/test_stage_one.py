@@ -3,7 +3,8 @@ import pytest
 
 from ditr_lite import pipeline
 from ditr_lite.config import preset
-from ditr_lite.evaluation.stage_one import PER_CLASS, class_map, class_scores, mask_errors
+from ditr_lite.data import Sample
+from ditr_lite.evaluation.stage_one import PER_CLASS, class_map, class_scores, mask_errors, stage_one
 
 SHAPE = (64, 96)
 
@@ -50,3 +51,16 @@ def test_mask_errors():
     true[20:40, 30:60] = True
     assert mask_errors(true, true) == {"miss_rate": 0.0, "area_ratio": 1.0}
     assert mask_errors(~true, true)["miss_rate"] == 1.0
+
+
+def test_overlap_is_of_the_claim_and_the_other_two_of_the_refined_region(tiny):
+    true = np.zeros(SHAPE, bool)
+    true[20:40, 30:60] = True
+    grown = np.zeros(SHAPE, bool)
+    grown[10:50, 20:70] = True
+    zero = np.zeros(SHAPE, np.float32)
+    probability = np.where(true, 0.9, 0.1).astype(np.float32)
+    out = pipeline.Completion(zero, grown, zero, ~true, ~true, ~true, probability, zero, zero, ())
+    sample = Sample("test_00000", np.zeros((*SHAPE, 3), np.uint8), zero + 0.6, region=true)
+    scores = stage_one(out, sample, tiny)
+    assert scores["iou"] == 1.0 and scores["miss_rate"] == 0.0 and scores["area_ratio"] > 1.2

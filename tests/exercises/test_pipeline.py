@@ -4,9 +4,16 @@ import numpy as np
 import torch
 from checker_cases import checker_tests
 
-from ditr_lite import conditioning, pipeline
+from ditr_lite import conditioning, pipeline, windows
 from ditr_lite.evaluation.costs import count_flops
 from ditr_lite.exercises import pipeline as checks
+
+
+def square(box, shape):
+    top, left, bottom, right = box
+    side = min(int(max(2 * (bottom - top), 2 * (right - left), max(shape) // 5)), max(shape))
+    top = max(0, min((top + bottom - side) // 2, shape[0] - side))
+    return top, max(0, min((left + right - side) // 2, shape[1] - side)), side
 
 
 def given(depth, region):
@@ -27,7 +34,26 @@ def conv_flops(channels_in, channels_out, kernel, height, width, stride):
     return 2 * places * channels_out * channels_in * kernel**2
 
 
-RIGHT = {checks.check_given: given, checks.check_spread: spread, checks.check_conv_flops: conv_flops}
+RIGHT = {
+    checks.check_square: square,
+    checks.check_given: given,
+    checks.check_spread: spread,
+    checks.check_conv_flops: conv_flops,
+}
+
+
+def unmoved(box, shape):
+    side = square(box, shape)[2]
+    return (box[0] + box[2] - side) // 2, (box[1] + box[3] - side) // 2, side
+
+
+def square_with(side):
+    return lambda box, shape: moved(box, shape, side(box[2] - box[0], box[3] - box[1], shape))
+
+
+def moved(box, shape, side):
+    starts = [(box[k] + box[k + 2] - side) // 2 for k in (0, 1)]
+    return (*(max(0, min(start, n - side)) for start, n in zip(starts, shape, strict=True)), side)
 
 
 def given_with(known=None, evidence=None):
@@ -49,6 +75,26 @@ def given_in_place(depth, region):
 
 
 MISTAKES = [
+    (checks.check_square, unmoved, "move it"),
+    (checks.check_square, square_with(lambda h, w, s: max(2 * min(h, w), max(s) // 5)), "*longer* side of the box"),
+    (checks.check_square, square_with(lambda h, w, s: max(2 * h, max(s) // 5)), "a wide blob would not fit"),
+    (checks.check_square, square_with(lambda h, w, s: max(2 * w, max(s) // 5)), "a tall blob would not fit"),
+    (checks.check_square, square_with(lambda h, w, s: max(h, w, max(s) // 5)), "no room around"),
+    (checks.check_square, square_with(lambda h, w, s: 2 * max(h, w)), "at least a fifth"),
+    (checks.check_square, square_with(lambda h, w, s: max(2 * h, 2 * w, min(s) // 5)), "not of the shorter"),
+    (
+        checks.check_square,
+        lambda b, s: moved((*b[:2], *(np.array(b[:2]) + square(b, s)[2])), s, square(b, s)[2]),
+        "middle",
+    ),
+    (checks.check_square, lambda b, s: (*square(b, s)[1::-1], square(b, s)[2]), "swapped"),
+    (checks.check_square, lambda b, s: (square(b, s)[2], *square(b, s)[:2]), "the order is"),
+    (
+        checks.check_square,
+        lambda b, s: (*square(b, s)[:2], *np.add(square(b, s)[:2], square(b, s)[2])),
+        "ends of the square",
+    ),
+    (checks.check_square, lambda b, s: square(b, s)[2], "shape"),
     (checks.check_given, lambda d, r: given(d, r)[::-1], "swapped"),
     (checks.check_given, lambda d, r: given(d, ~r), "swapped"),
     (checks.check_given, given_with(known=lambda d, r: d > 0), "leaks in"),
@@ -100,6 +146,11 @@ def test_counting_by_hand_agrees_with_the_counter():
         channels_in, channels_out, kernel, height, width, stride = case
         conv = torch.nn.Conv2d(channels_in, channels_out, kernel, stride, padding=kernel // 2)
         assert conv_flops(*case) == count_flops(conv, torch.zeros(1, channels_in, height, width))
+
+
+def test_the_window_of_a_blob_is_the_systems():
+    for box, shape in [((40, 60, 60, 90), (200, 300)), ((10, 100, 50, 120), (200, 300)), ((3, 0, 9, 4), (100, 150))]:
+        assert windows.square(np.array(box), shape) == windows.Window(*square(box, shape))
 
 
 def test_the_exercises_are_what_the_pipeline_does():

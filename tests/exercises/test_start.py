@@ -27,12 +27,6 @@ def compose(depth, optical, geometric, region):
     return out
 
 
-def normalise(depth, raw):
-    low, high = np.percentile(raw[raw > 0], [2, 98])
-    high = max(high, low + 1e-3)
-    return 2 * (depth - low) / (high - low) - 1, low, high
-
-
 def unproject(u, v, z, camera):
     return (u - camera.cx) * z / camera.fx, (v - camera.cy) * z / camera.fy, z
 
@@ -45,7 +39,6 @@ RIGHT = {
     checks.check_disparity_to_depth: disparity_to_depth,
     checks.check_rmse: rmse,
     checks.check_compose: compose,
-    checks.check_normalise: normalise,
     checks.check_unproject: unproject,
     checks.check_shadow_width: shadow_width,
 }
@@ -63,14 +56,6 @@ def compose_in_place(depth, optical, geometric, region):
     depth[region] = optical[region]
     depth[depth == 0] = geometric[depth == 0]
     return depth
-
-
-def normalise_by(bounds):
-    def attempt(depth, raw):
-        low, high = bounds(depth, raw)
-        return 2 * (depth - low) / (high - low) - 1, low, high
-
-    return attempt
 
 
 MISTAKES = [
@@ -101,18 +86,6 @@ MISTAKES = [
     (checks.check_compose, compose_in_double, "should be float32, got float64"),
     (checks.check_compose, compose_rounding, "values differ"),
     (checks.check_compose, compose_in_place, "changes its input"),
-    (checks.check_normalise, lambda d, r: normalise(d, d), "ground truth leaks"),
-    (checks.check_normalise, normalise_by(lambda d, r: (r[r > 0].min(), max(r.max(), d.max()))), "ground truth leaks"),
-    (checks.check_normalise, normalise_by(lambda d, r: (r.min(), r.max())), "missing pixels"),
-    (checks.check_normalise, normalise_by(lambda d, r: (1000 * r[r > 0].min(), 1000 * r.max())), "millimetres"),
-    (checks.check_normalise, normalise_by(lambda d, r: (0.7, 0.6)), "do not fit"),
-    (checks.check_normalise, lambda d, r: ((normalise(d, r)[0] + 1) / 2, *normalise(d, r)[1:]), r"[0, 1]"),
-    (checks.check_normalise, lambda d, r: (np.clip(normalise(d, r)[0], -1, 1), *normalise(d, r)[1:]), "clipped"),
-    (checks.check_normalise, lambda d, r: (-normalise(d, r)[0], *normalise(d, r)[1:]), "sign"),
-    (checks.check_normalise, lambda d, r: (np.log(d), *normalise(d, r)[1:]), "cannot be recovered"),
-    (checks.check_normalise, normalise_by(lambda d, r: (r[r > 0].min(), r.max())), "flat map"),
-    (checks.check_normalise, lambda d, r: normalise(d, r)[0], "three values"),
-    (checks.check_normalise, lambda d, r: (normalise(d, r)[0].ravel(), *normalise(d, r)[1:]), "keep its shape"),
     (checks.check_unproject, lambda u, v, z, c: unproject(v, u, z, c), "u and v are swapped"),
     (checks.check_unproject, lambda u, v, z, c: np.array(unproject(u, v, z, c))[[1, 0, 2]], "x and y are swapped"),
     (checks.check_unproject, lambda u, v, z, c: (u * z / c.fx, v * z / c.fy, z), "principal point"),

@@ -19,8 +19,22 @@ def test_statistics_of_a_frame_made_by_hand():
     found = frame_statistics(frame())
     assert set(found) == set(STATISTICS)
     expected = {"missing_outside": 0.2, "missing_inside": 0.2, "bias_inside_m": 0.03, "rmse_inside_m": 0.03}
+    expected |= {"bias_inside_median_m": 0.03, "beyond_twice_median": 0.0}
     expected |= {"mae_outside_m": 0.002, "noise_outside": 0.002, "region_share": 0.5, "distance_m": 1.0}
     assert found == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_wild_reading_moves_the_mean_and_not_the_median():
+    wild = frame()
+    wild.depth[5, 0] = 5.03  # one of 80 readings, one of 40 inside
+    found = frame_statistics(wild)
+    assert found["bias_inside_m"] == pytest.approx(0.13, rel=1e-4)
+    assert found["bias_inside_median_m"] == pytest.approx(0.03, rel=1e-4)
+    assert found["beyond_twice_median"] == pytest.approx(1 / 80)
+
+
+def test_a_frame_without_readings_has_none_beyond():
+    assert np.isnan(frame_statistics(frame(missing=10))["beyond_twice_median"])
 
 
 def test_bias_keeps_its_sign():

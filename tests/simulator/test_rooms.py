@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from ditr_lite.simulator import forms, rooms, textures
 from ditr_lite.data import OPAQUE, REFLECTIVE, ROOM_SPLITS, TRANSPARENT
+from ditr_lite.simulator import forms, rooms, textures
 from ditr_lite.simulator.render import vertices_of
 from ditr_lite.simulator.rooms import room_scene
 

@@ -177,8 +177,9 @@ def test_sparse_frames_hold_few_true_readings(disturbed):
     assert np.array_equal(lines.depth[read], lines.depth_gt[read]) and not read[lines.region].any()
     for frame in (few, lines):
         depth = robustness.linear(frame)
-        assert np.isfinite(depth).all() and (depth[frame.region] > 0).all()
-        assert np.array_equal(depth[~frame.region], frame.depth[~frame.region])
+        assert np.isfinite(depth).all() and (depth > 0).all()
+        kept = (frame.depth > 0) & ~frame.region
+        assert np.array_equal(depth[kept], frame.depth[kept])
 
 
 def test_linear_interpolation_continues_a_plane_through_the_region():
@@ -187,6 +188,17 @@ def test_linear_interpolation_continues_a_plane_through_the_region():
     region = (np.abs(u - 30) < 8) & (np.abs(v - 20) < 6)
     frame = Sample("plane", np.zeros((40, 60, 3), np.uint8), np.where(region, np.float32(9), plane), plane, region)
     np.testing.assert_allclose(robustness.linear(frame), plane, atol=1e-6)
+
+
+def test_linear_interpolation_can_be_scored_where_readings_are_few():
+    v, u = np.mgrid[:40, :60]
+    plane = (0.5 + 0.002 * u + 0.001 * v).astype(np.float32)
+    region = (np.abs(u - 30) < 8) & (np.abs(v - 20) < 6)
+    read = (u % 7 == 0) & (v % 5 == 0) & ~region
+    frame = Sample("plane", np.zeros((40, 60, 3), np.uint8), np.where(read, plane, np.float32(0)), plane, region)
+    depth = robustness.linear(frame)
+    assert (depth > 0).all() and (depth[read] == plane[read]).all()
+    np.testing.assert_allclose(depth[region], plane[region], atol=1e-6)
 
 
 def test_the_table_pairs_frames_with_themselves():
@@ -198,6 +210,7 @@ def test_the_table_pairs_frames_with_themselves():
     assert table["300 readings"]["given"]["of_linear"] == [0.5, 0.5, 0.5]
     text = robustness.format_disturbances(table)
     assert text.count("2.00 [2.00, 2.00]") == 4 and text.count("0.50 [0.50, 0.50]") == 2 and "173.3" in text
+    assert len({len(line) for line in text.splitlines()}) == 1 and "undisturbed  " in text.splitlines()[0]
 
 
 def test_disturbances_are_run_with_the_region_found_and_given(tiny):

@@ -6,9 +6,9 @@ from made_scenes import make_scenes
 from ditr_lite.boundary import get_backend
 from ditr_lite.conditioning import CHANNELS
 from ditr_lite.config import override, preset
-from ditr_lite.region.encoder import ColourEncoder
 from ditr_lite.pipeline import build
 from ditr_lite.region import RegionNet
+from ditr_lite.region.encoder import ColourEncoder
 from ditr_lite.schedule import make_schedule
 from ditr_lite.stage_two import BRANCHES, Views, paint
 from ditr_lite.training import recipes

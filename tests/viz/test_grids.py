@@ -200,6 +200,19 @@ def test_contact_sheet_shows_all_samples_and_one_bar(sample):
         viz.contact_sheet([])
 
 
+def test_contact_sheet_can_give_each_sample_limits_of_its_own(sample):
+    far = replace(sample, name="far", depth=10 * sample.depth, depth_gt=10 * sample.depth_gt)
+
+    def limits(shared):
+        shown = images_of(viz.contact_sheet([sample, far], shared=shared))
+        return [image.get_clim() for ax, image in shown if ax.get_title().startswith("truth")]
+
+    assert limits(True)[0] == limits(True)[1]
+    near, distant = limits(False)
+    assert distant == pytest.approx([10 * limit for limit in near], rel=1e-4)
+    assert not any(ax.get_ylabel() == "depth (m)" for ax in viz.contact_sheet([sample, far], shared=False).axes)
+
+
 def test_the_side_view_plots_z_against_y(ax, sample):
     n = viz.point_cloud_side(ax, sample.depth, sample.camera, mask=sample.region, label="raw")
     assert n == (sample.region & (sample.depth > 0)).sum()
@@ -222,7 +235,7 @@ def test_save_panel_writes_a_png_whole_or_not_at_all(tmp_path, sample):
     path = tmp_path / "out" / "panel.png"
     std = np.full(SHAPE, 0.002, np.float32)
     viz.save_panel(path, sample.rgb, sample.depth, sample.depth_gt, sample.region, std)
-    assert cv2.imread(str(path)).shape[1] == 960
+    assert 4 * 480 <= cv2.imread(str(path)).shape[1] <= 8 * 480
     before = path.read_bytes()
     with pytest.raises(ValueError, match="NaN"):
         viz.save_panel(path, sample.rgb, sample.depth, sample.depth_gt * np.nan)
@@ -237,7 +250,7 @@ def test_a_strip_makes_no_endless_picture(tmp_path):
     region[:1000] = False
     viz.save_panel(tmp_path / "p.png", rgb_, strip, strip, region, 0.01 * strip)
     height, width = cv2.imread(str(tmp_path / "p.png")).shape[:2]
-    assert width == 960 and height <= panels.DPI * (grids.TALLEST_IN + 0.5)
+    assert width <= 1200 and height <= 1.25 * panels.DPI * (grids.TALLEST_IN + 0.5)
 
 
 def test_what_cannot_be_drawn_is_refused(ax, sample):
@@ -260,3 +273,16 @@ def test_no_other_module_draws():
     imports = re.compile(r"^\s*(import|from) matplotlib", re.MULTILINE)
     drawing = [p for p in package.rglob("*.py") if imports.search(p.read_text(encoding="utf-8"))]
     assert {p.relative_to(package).as_posix() for p in drawing} == {"viz/grids.py", "viz/panels.py", "viz/studies.py"}
+
+
+@pytest.mark.parametrize("width", [480, 700])
+def test_every_map_of_a_saved_panel_is_wide_enough_and_outlined(tmp_path, sample, width):
+    std = np.full(sample.depth.shape, 0.01, np.float32)
+    maps = (sample.rgb, sample.depth, sample.depth_gt)
+    viz.save_panel(tmp_path / "with.png", *maps, sample.region, std, width=width)
+    viz.save_panel(tmp_path / "without.png", *maps, np.zeros_like(sample.region), std, width=width)
+    with_, without = (cv2.imread(str(tmp_path / f"{name}.png")).astype(int) for name in ("with", "without"))
+    assert with_.shape == without.shape and with_.shape[1] >= 4 * width
+    changed = np.abs(with_ - without).max(axis=2) > 60
+    quarters = np.array_split(changed, 4, axis=1)
+    assert all(quarter.sum() > 50 for quarter in quarters)

@@ -1,0 +1,106 @@
+"""``complete --video``: hold still what does not move, in a sequence of frames, without lag where something does.
+
+Not in the paper, which completes single frames. Noise in a frame lets stage one's claim and the painted depth flicker
+although nothing moves. So each pixel keeps a running mean of stage one's probability and of what was painted, for as
+long as its neighbourhood looks the same; where colour or readings change by more than noise does, it begins anew.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from ..pipeline import Completion, Ditr, compose
+
+LONGEST = 30  # frames that a running mean reaches back
+AROUND = 9  # pixels of a neighbourhood that is compared, at 256 pixels of width
+STEP = 10.0  # grey levels of 255 by which a neighbourhood's mean may differ and still be the same
+DEPTH_STEP = 0.03  # share of the depth by which readings may differ, likewise
+BAND = 0.05  # of probability: a claim is made this much above the threshold, and dropped this much below
+
+
+class Steady:
+    """The system for frames that follow each other: called like :class:`pipeline.Ditr`, it remembers.
+
+    Args:
+        ditr: the system.
+    """
+
+    def __init__(self, ditr: Ditr):
+        self.ditr = ditr
+        self.seen: tuple[np.ndarray, np.ndarray] | None = None  # running means of smoothed colour and of depth
+        self.count: np.ndarray | None = None  # (H, W) frames in the running means
+        self.probability: np.ndarray | None = None  # at the working size, as what was claimed
+        self.claimed: np.ndarray | None = None
+        self.region: np.ndarray | None = None
+        self.painted: np.ndarray | None = None  # (H, W) metres
+
+    def __call__(
+        self,
+        rgb: np.ndarray,
+        depth: np.ndarray,
+        region: np.ndarray | None = None,
+        steps: int | None = None,
+        samples: int | None = None,
+        adjust: bool = False,
+        seed: int = 0,
+    ) -> Completion:
+        """Complete the next frame; arguments and result are those of :class:`pipeline.Ditr`."""
+        same = self._compare(rgb, depth)
+        probability = None
+        if region is None:
+            probability, region = self._find_region(rgb, depth, same)
+        out = self.ditr(rgb, depth, region, steps, samples, adjust, seed)
+        fresh = np.where(region, out.optical, out.geometric)
+        if self.region is not None:
+            same &= self.region == region  # what another branch painted is not averaged with
+        painted = _mean(self.painted, fresh, same, self.count)
+        self.painted, self.region = painted, region
+        kept = np.zeros_like(depth) if adjust else depth
+        return replace(out, depth=compose(kept, painted, painted, region), probability=probability)
+
+    def _compare(self, rgb: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Return (H, W) bool, where the frame looks as before, and take it into the memory."""
+        side = max(3, AROUND * rgb.shape[1] // 256)
+        colour = cv2.blur(rgb.astype(np.float32), (side, side))
+        if self.seen is None or self.seen[0].shape != colour.shape:
+            self.seen, self.count = (colour, depth.copy()), np.ones(depth.shape, np.float32)
+            self.probability = self.claimed = self.region = self.painted = None
+            return np.zeros(depth.shape, bool)
+        before, read = self.seen
+        moved = np.abs(colour - before).max(axis=2) > STEP
+        both = (depth > 0) & (read > 0)
+        farther = (np.abs(depth - read) > DEPTH_STEP * depth) & both
+        around = cv2.blur(both.astype(np.float32), (side, side))
+        share = cv2.blur(farther.astype(np.float32), (side, side)) / np.maximum(around, 1e-6)
+        moved |= share > 0.5  # most readings around are elsewhere: single ones are noise
+        moved = cv2.dilate(moved.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+        self.count = np.where(moved, 1, np.minimum(self.count + 1, LONGEST)).astype(np.float32)
+        weight = 1 / self.count
+        mean = before + weight[..., None] * (colour - before)
+        readings = np.where(both & ~moved, read + weight * (depth - read), np.where(depth > 0, depth, read))
+        self.seen = mean, np.where(moved, depth, readings).astype(np.float32)
+        return ~moved
+
+    def _find_region(self, rgb: np.ndarray, depth: np.ndarray, same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return probability and region of a frame, both held where it looks as before."""
+        frame, classes = self.ditr.classify(rgb, depth)
+        still = frame.into(same.astype(np.uint8)) > 0
+        count = np.maximum(frame.into(self.count), 1)
+        now = _mean(self.probability, 1 - classes[0], still, count)
+        threshold = self.ditr.config.refine.threshold
+        claimed = now > threshold
+        if self.claimed is not None:
+            dropped = now < max(threshold - BAND, 0.01)
+            made = now > min(threshold + BAND, 0.99)
+            claimed = np.where(still, np.where(self.claimed, ~dropped, made), claimed)
+        self.probability, self.claimed = now, claimed
+        region = self.ditr.refine(claimed & frame.picture)
+        return frame.back(now), frame.back(region)
+
+
+def _mean(before: np.ndarray | None, now: np.ndarray, same: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """Return the running mean over ``count`` frames where a frame looks as before, and what is now elsewhere."""
+    if before is None:
+        return now.astype(np.float32)
+    return np.where(same, before + (now - before) / count, now).astype(np.float32)

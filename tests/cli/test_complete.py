@@ -1,0 +1,241 @@
+"""``complete``: what it must not destroy, folders of frames, depth of low resolution, video, warnings."""
+
+import re
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from ditr_lite import files, pipeline
+from ditr_lite.cli import main
+from ditr_lite.cli.video import Steady
+
+SHAPE = (64, 96)
+QUICK = ["--steps", "1", "--samples", "1"]
+
+
+def command(weights, **given):
+    """Return a command line of `complete`."""
+    pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in given.items()]
+    return ["complete", "--weights", str(weights), *QUICK, *(word for pair in pairs for word in pair)]
+
+
+def refused(argv, capsys):
+    """Run a command that must be refused, and return its one line."""
+    assert main(argv) == 2
+    said = capsys.readouterr()
+    lines = said.err.strip().splitlines()
+    assert len(lines) == 1 and not said.out, said
+    return lines[0]
+
+
+@pytest.mark.parametrize("target", ["out", "panel", "ply"])
+@pytest.mark.parametrize("source", ["rgb", "depth", "region", "intrinsics"])
+@pytest.mark.parametrize("disguise", ["same", "dots", "link", "hard link"])
+def test_no_target_is_an_input(frame, weights, tmp_path, capsys, target, source, disguise):
+    suffix = {"out": ".png", "panel": ".png", "ply": ".ply"}[target]
+    inputs = {
+        "rgb": frame / "a.png",
+        "depth": frame / "b.png",
+        "region": frame / "m.png",
+        "intrinsics": frame / "K.txt",
+    }
+    taken = frame / f"taken{suffix}"
+    shutil.copy(inputs[source], taken)
+    inputs[source] = taken
+    before = taken.read_bytes()
+    other = tmp_path / f"other{suffix}"
+    if disguise == "link":
+        other.symlink_to(taken)
+    elif disguise == "hard link":
+        other.hardlink_to(taken)
+    path = {"same": taken, "dots": frame / ".." / "in" / taken.name}.get(disguise, other)
+    given = {**inputs, "out": tmp_path / "c.npy", target: path}
+    assert f"--{target} and --{source} are the same file" in refused(command(weights, **given), capsys)
+    assert taken.read_bytes() == before and not (tmp_path / "c.npy").exists()
+
+
+def test_targets_differ_from_each_other(frame, weights, tmp_path, capsys):
+    given = {"rgb": frame / "a.png", "depth": frame / "b.png", "out": tmp_path / "c.png", "panel": tmp_path / "c.png"}
+    assert "--panel and --out are the same file" in refused(command(weights, **given), capsys)
+    assert not (tmp_path / "c.png").exists()
+
+
+def test_readings_in_tenths_of_a_millimetre_stay_exact(frame, weights, tmp_path):
+    tenths = np.random.default_rng(0).integers(5000, 6000, SHAPE).astype(np.uint16)
+    cv2.imwrite(str(frame / "b.png"), tenths)
+    given = {"rgb": frame / "a.png", "depth": frame / "b.png", "region": frame / "m.png", "out": tmp_path / "c.png"}
+    assert main(command(weights, **given, depth_scale=0.0001)) == 0
+    out, keep = cv2.imread(str(tmp_path / "c.png"), -1), ~files.read_mask(frame / "m.png")
+    assert np.array_equal(out[keep], tenths[keep])
+
+
+def test_depth_in_an_odd_unit_is_warned_of_once_and_completed(frame, weights, tmp_path, capsys):
+    np.save(frame / "b.npy", np.full(SHAPE, 6.1))
+    given = {"rgb": frame / "a.png", "depth": frame / "b.npy", "region": frame / "m.png", "out": tmp_path / "c.npy"}
+    assert main(command(weights, **given)) == 0
+    warned = capsys.readouterr().err.splitlines()
+    assert len(warned) == 1 and "ditr_lite: warning: most depth readings are farther than 5 m" in warned[0]
+    assert np.load(tmp_path / "c.npy")[0, 0] == np.float32(6.1)
+
+
+def test_depth_of_lower_resolution_needs_its_argument_and_keeps_its_readings(frame, weights, tmp_path, capsys):
+    small = np.random.default_rng(0).integers(500, 600, (16, 24)).astype(np.uint16)
+    cv2.imwrite(str(frame / "b.png"), small)
+    given = {"rgb": frame / "a.png", "depth": frame / "b.png", "region": frame / "m.png", "out": tmp_path / "c.npy"}
+    assert "give --upsample-depth" in refused(command(weights, **given), capsys)
+    assert main([*command(weights, **given), "--upsample-depth"]) == 0
+    out, region = np.load(tmp_path / "c.npy"), files.read_mask(frame / "m.png")
+    placed, free = out[2::4, 2::4], ~region[2::4, 2::4]
+    assert np.array_equal(placed[free], small[free] / np.float32(1000)) and (out > 0).all()
+    cv2.imwrite(str(frame / "b.png"), np.full((16, 16), 600, np.uint16))
+    capsys.readouterr()
+    assert "of like shape" in refused([*command(weights, **given), "--upsample-depth"], capsys)
+
+
+@pytest.fixture
+def folders(frame, tmp_path):
+    """Three frames in folders as people have them: the second is damaged, hidden files lie about."""
+    for kind, source, suffix in (("rgb", "a.png", ".png"), ("depth", "b.png", ".PNG"), ("region", "m.png", ".png")):
+        (tmp_path / kind).mkdir()
+        for k in range(3):
+            shutil.copy(frame / source, tmp_path / kind / f"{k:03d}{suffix}")
+        (tmp_path / kind / f"._000{suffix}").write_bytes(b"\x00\x05\x16\x07" + bytes(60))
+        (tmp_path / kind / ".DS_Store").write_bytes(bytes(9))
+    (tmp_path / "depth" / "001.PNG").write_bytes(b"\x89PNG damaged")
+    (tmp_path / "depth" / "notes.md").write_text("not a frame")
+    return {"rgb_dir": tmp_path / "rgb", "depth_dir": tmp_path / "depth", "out_dir": tmp_path / "out"}
+
+
+def test_a_folder_goes_on_after_a_bad_frame_reports_it_and_resumes(folders, weights, tmp_path, capsys):
+    given = {**folders, "region_dir": tmp_path / "region", "panel_dir": tmp_path / "panels", "suffix": ".npy"}
+    assert main(command(weights, **given)) == 3
+    said = capsys.readouterr()
+    assert (
+        "2 frames completed, 0 were there already, 1 failed" in said.out and "001.PNG failed: cannot read" in said.err
+    )
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["000.npy", "002.npy"]
+    assert sorted(p.name for p in (tmp_path / "panels").iterdir()) == ["000.png", "002.png"]
+    before = (tmp_path / "out" / "000.npy").stat().st_mtime_ns
+    shutil.copy(tmp_path / "depth" / "000.PNG", tmp_path / "depth" / "001.PNG")
+    assert main(command(weights, **given)) == 0
+    assert "1 frames completed, 2 were there already, 0 failed" in capsys.readouterr().out
+    assert (tmp_path / "out" / "000.npy").stat().st_mtime_ns == before
+
+
+def test_patterns_pair_names_by_what_differs(folders, weights, tmp_path, capsys):
+    mixed = tmp_path / "mixed"
+    mixed.mkdir()
+    for k in (7, 8, 12):
+        shutil.copy(tmp_path / "rgb" / "000.png", mixed / f"color_{k:04d}.png")
+        shutil.copy(tmp_path / "depth" / "000.PNG", mixed / f"depth_{k:04d}_raw.png")
+    given = {"rgb_dir": mixed / "color_*.png", "depth_dir": mixed / "depth_*.png", "out_dir": tmp_path / "out"}
+    assert main(command(weights, **given)) == 0
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [f"depth_{k:04d}_raw.png" for k in (7, 8, 12)]
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"out_dir": None}, "--out-dir is missing"),
+        ({"rgb": "a.png"}, "--rgb is of one frame"),
+        ({"rgb_dir": "nowhere"}, "no file in .*nowhere"),
+        ({"out_dir": "depth", "suffix": ".PNG"}, "invalid choice"),
+        ({"depth_dir": "rgb", "out_dir": "rgb"}, "the same file"),
+    ],
+)
+def test_folders_that_cannot_be_completed(folders, weights, tmp_path, capsys, change, reason):
+    given = {**folders, **{k: v and (v if k == "suffix" else tmp_path / v) for k, v in change.items()}}
+    message = refused(command(weights, **{k: v for k, v in given.items() if v is not None}), capsys)
+    assert re.search(reason, message), message
+
+
+# --- video ------------------------------------------------------------------------------------------------------------
+
+
+class Flickering:
+    """A system whose claims and paintings flicker by themselves, as noise makes a real one."""
+
+    def __init__(self, ditr):
+        self.ditr, self.config, self.rng = ditr, ditr.config, np.random.default_rng(0)
+
+    def classify(self, rgb, depth):
+        frame, classes = self.ditr.classify(rgb, depth)
+        bright = frame.into(rgb.mean(axis=2).astype(np.float32)) > 150  # glass is what is bright
+        glass = np.where(bright, 0.62, 0.38) + self.rng.normal(0, 0.06, bright.shape)
+        return frame, np.stack([1 - glass, glass, 0 * glass]).astype(np.float32)
+
+    def refine(self, mask):
+        return mask
+
+    def __call__(self, rgb, depth, region, *_):
+        painted = np.where(rgb.mean(axis=2) > 150, 0.5, 0.7) + self.rng.normal(0, 0.02, depth.shape)
+        painted = painted.astype(np.float32)
+        zero = np.zeros(depth.shape, bool)
+        depth = pipeline.compose(depth, painted, painted, region)
+        return pipeline.Completion(depth, region, painted, zero, zero, zero, None, painted, painted, ())
+
+
+def scene(left, rng):
+    """Return a noisy frame: a bright box with its left edge at ``left`` before a dark wall."""
+    rgb = np.full((*SHAPE, 3), 90.0)
+    rgb[20:44, left : left + 24] = 210
+    depth = np.full(SHAPE, 0.7) + rng.normal(0, 0.002, SHAPE)
+    depth[20:44, left : left + 24] = 0
+    return np.clip(rgb + rng.normal(0, 4, rgb.shape), 0, 255).astype(np.uint8), depth.astype(np.float32)
+
+
+@pytest.fixture
+def flickering(weights):
+    return Flickering(pipeline.Ditr.from_pretrained(path=weights))
+
+
+def unrest(outs):
+    """Return the share of the region that comes and goes, and the mean change from frame to frame in metres."""
+    regions, depths = np.stack([o.region for o in outs]), np.stack([o.depth for o in outs])
+    always, ever = regions.all(0), regions.any(0)
+    return 1 - always.sum() / ever.sum(), np.abs(np.diff(depths[:, ever], axis=0)).mean()
+
+
+def test_a_still_scene_is_held_still(flickering):
+    rng, steady = np.random.default_rng(1), Steady(flickering)
+    frames = [scene(36, rng) for _ in range(30)]
+    comes_and_goes, flicker = unrest([steady(*frame) for frame in frames][10:])
+    assert comes_and_goes < 0.05 and flicker < 0.004
+    alone = []
+    for rgb, depth in frames[10:]:
+        region = flickering.classify(rgb, depth)[1][1] > 0.5
+        alone.append(flickering(rgb, depth, region))
+    comes_and_goes, flicker = unrest(alone)  # what it would be without a memory
+    assert comes_and_goes > 0.2 and flicker > 0.006
+
+
+def test_what_moves_is_not_smeared(flickering):
+    rng, steady = np.random.default_rng(1), Steady(flickering)
+    for k in range(12):
+        left = 10 + 4 * max(0, k - 5)
+        rgb, depth = scene(left, rng)
+        out = steady(rgb, depth)
+    inside = out.region[22:42, left + 2 : left + 22]
+    trail = out.region[22:42, left - 10 : left - 3]
+    assert inside.mean() > 0.7 and trail.mean() < 0.35
+    assert abs(out.depth[22:42, left + 2 : left + 22][inside].mean() - 0.5) < 0.02
+
+
+def test_readings_outside_the_region_are_kept_in_video(flickering):
+    rng, steady = np.random.default_rng(1), Steady(flickering)
+    for _ in range(5):
+        rgb, depth = scene(36, rng)
+        out = steady(rgb, depth)
+        keep = (depth > 0) & ~out.region
+        assert np.array_equal(out.depth[keep], depth[keep]) and (out.depth > 0).all()
+
+
+def test_video_goes_through_the_frames_in_order(folders, weights, tmp_path, capsys):
+    shutil.copy(tmp_path / "depth" / "000.PNG", tmp_path / "depth" / "001.PNG")
+    assert main([*command(weights, **folders), "--video"]) == 0
+    assert len(list((tmp_path / "out").iterdir())) == 3
+    capsys.readouterr()
+    given = {"rgb": tmp_path / "rgb/000.png", "depth": tmp_path / "depth/000.PNG", "out": tmp_path / "c.png"}
+    assert "--video needs frames" in refused([*command(weights, **given), "--video"], capsys)
