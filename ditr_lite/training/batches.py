@@ -34,13 +34,16 @@ class Batch:
         return self.bounds.denormalise(self.gt_n) * self.gt_known
 
     def relative_error(self, depth_n: Tensor) -> Tensor:
-        """Return (predicted - true) / middle of the frame, (B, 1, H, W); 0 where the truth is unknown."""
+        """Return ln(predicted / true), (B, 1, H, W): the error as a share of the depth; 0 where the truth is unknown.
+
+        Metres would let rooms outweigh table tops, and a share of the frame's middle the wall behind the table.
+        """
         return self.relative_error_m(self.bounds.denormalise(depth_n))
 
     def relative_error_m(self, depth_m: Tensor) -> Tensor:
-        """Do what :meth:`relative_error` does with a prediction (B, 1, H, W) in metres."""
-        middle = (self.bounds.low * self.bounds.high).sqrt()
-        return torch.where(self.gt_known > 0, (depth_m - self.truth_m) / middle, 0.0)
+        """Do what :meth:`relative_error` does with a prediction (B, 1, H, W) in metres, above 0."""
+        true = self.bounds.denormalise(self.gt_n)
+        return torch.where(self.gt_known > 0, (depth_m / true).log(), 0.0)
 
 
 def batch_of(views: list[View], backend: Backend | None = None, around: bool = False) -> Batch:

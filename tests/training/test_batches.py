@@ -77,14 +77,14 @@ def test_a_view_without_a_reading_still_has_bounds(scenes):
     assert batch.depth_n.isfinite().all() and batch.gt_n.isfinite().all()
 
 
-def test_errors_are_relative_to_the_middle_of_the_frame(scenes):
+def test_errors_are_shares_of_the_depth(scenes):
     batch = next(frames_in_order(scenes, SIZE))
-    middle = (batch.bounds.low * batch.bounds.high).sqrt()
-    off = batch.bounds.normalise(batch.truth_m.clamp(min=0.1) + 0.1 * middle)
-    error = batch.relative_error(off)
     known = batch.gt_known > 0
-    assert torch.allclose(error[known], torch.tensor(0.1), atol=1e-4) and (error[~known] == 0).all()
-    assert torch.allclose(batch.relative_error_m(batch.truth_m - 0.2 * middle)[known], torch.tensor(-0.2), atol=1e-4)
+    off = batch.bounds.normalise(batch.truth_m.clamp(min=0.1) * 1.1)
+    error = batch.relative_error(off)
+    assert torch.allclose(error[known], torch.tensor(1.1).log(), atol=1e-4) and (error[~known] == 0).all()
+    half = batch.relative_error_m(0.5 * batch.truth_m.clamp(min=0.1))
+    assert torch.allclose(half[known], torch.tensor(0.5).log(), atol=1e-4)
 
 
 def test_a_seed_draws_the_same_batch_again(scenes):
