@@ -43,6 +43,7 @@ class DetailNet(nn.Module):
         super().__init__()
         if config.width < 1:
             raise ValueError(f"DetailNet: expected a width of at least 1, got {config.width}; for 0 leave it out")
+        self.strength = config.strength
         widths = [config.width * 2**i for i in range(LEVELS)]
         ins = [4 * len(CHANNELS), *widths[:-1]]
         # one convolution at stride 2, where each costs most, and on the way up
@@ -105,7 +106,9 @@ class DetailNet(nn.Module):
         skips.pop()
         for upsample, level in zip(self.upsample, self.up, strict=True):
             x = level(upsample(x) + skips.pop())
-        out = F.pixel_shuffle(self.out(x), 2)  # (B, 4 OUTPUTS, H/2, W/2) -> (B, OUTPUTS, H, W)
+        # corrections, trusts and affinities are drawn towards the untrained network's, once training is over
+        strength = 1.0 if self.training else self.strength
+        out = F.pixel_shuffle(strength * self.out(x), 2)  # (B, 4 OUTPUTS, H/2, W/2) -> (B, OUTPUTS, H, W)
         residual, trust, *kernels = out.split([1, 2, *[9] * len(DILATIONS)], dim=1)
         start = trust.new_tensor([3.0, -1.0]).view(1, 2, 1, 1)  # at first readings outside are trusted, inside hardly
         return residual, torch.sigmoid(trust + start), [k.softmax(dim=1) for k in kernels]

@@ -14,6 +14,8 @@ from scipy.stats import norm
 
 from ..data import Sample
 
+GARBAGE = 0.25  # a reading off by a larger share of its depth is a stray
+
 
 def coverage(error: np.ndarray, std: np.ndarray, times: float = 1.0) -> float:
     """Return the share of errors no larger than ``times`` the stated standard deviation.
@@ -110,7 +112,8 @@ def fit_kept(error: np.ndarray, depth: np.ndarray, doubt: np.ndarray) -> tuple[f
     """Fit (kept, missed) of depth * sqrt(kept^2 + p missed^2), see ``config.StdConfig``, of readings that were kept.
 
     Least squares of the squared relative error against 1 and p, neither being negative: what a reading is off on plain
-    surfaces, and what more on glass that stage one has missed.
+    surfaces, and what more on glass that stage one has missed. Readings off by more than :data:`GARBAGE` of their
+    depth say nothing about either and are left out.
 
     Args:
         error: (N,) metres.
@@ -120,7 +123,9 @@ def fit_kept(error: np.ndarray, depth: np.ndarray, doubt: np.ndarray) -> tuple[f
     error, depth = _pair(error, depth)
     error, doubt = _pair(error, doubt)
     square = (error / depth).astype(np.float64) ** 2
-    found, _ = nnls(np.stack([np.ones_like(square), doubt.astype(np.float64)], axis=1), square)
+    sound = square < GARBAGE**2
+    square, doubt = square[sound], doubt[sound].astype(np.float64)
+    found, _ = nnls(np.stack([np.ones_like(square), doubt], axis=1), square)
     return float(np.sqrt(found[0])), float(np.sqrt(found[1]))
 
 
