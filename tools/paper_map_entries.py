@@ -232,7 +232,7 @@ N2 | done | 02_region_refinement | Where the paper differs
 region.ColourEncoder | region/test_encoder.py::test_folded_weights_compute_what_convolutions_and_batch_norms_did
 colour goes through an encoder that was trained on real pictures, not on rendered ones
 
-N3 | done | 06_full_pipeline | 9 · Decode both branches and sharpen
+N3 | done | 06_full_pipeline | 10 · Decode both branches and sharpen
 detail.DetailNet | test_detail.py::test_propagation_agrees_with_a_loop_over_pixels
 a finer last step: depth spreads from the readings nearby by learnt affinities
 """

@@ -16,13 +16,13 @@ START, END = "<!-- results: tools/readme_results.py -->", "<!-- end of results -
 SETS = ("optical", "optical_valid", "geometric", "outside", "whole")
 
 
-def section(result: dict, title: str, name: str) -> str:
+def section(result: dict, title: str, file: str) -> str:
     """Return the Markdown of one test split: a table of RMSE, the paired differences, stage one.
 
     Args:
         result: of ``evaluate --json``.
         title: of the split.
-        name: of the file.
+        file: its name.
     """
     report = result["summary"]
     lines = [
@@ -55,7 +55,7 @@ def section(result: dict, title: str, name: str) -> str:
         "Readings outside the region come back " + ("bit for bit." if report["kept"] else "CHANGED, a defect."),
         "",
         f"Command: `{result['command']}`; the file with every scene's figures and the checksums of the weights is "
-        f"`ditr_lite/weights/{name}`.",
+        f"`ditr_lite/weights/{file}`.",
     ]
     return "\n".join(lines)
 
