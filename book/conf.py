@@ -26,7 +26,7 @@ nb_ipywidgets_js = {}  # nothing is live, and these would come from other hosts
 
 myst_enable_extensions = ["amsmath", "attrs_inline", "deflist", "dollarmath"]
 myst_heading_anchors = 4
-myst_heading_slug_func = "paper_map.slug"
+myst_heading_slug_func = "equation_map.slug"
 myst_dmath_double_inline = True
 
 autodoc_member_order = "bysource"

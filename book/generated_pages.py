@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import nbformat
-from paper_map import Part, parts, slug
+from equation_map import Part, parts, slug
 
 import ditr_lite
 

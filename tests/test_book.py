@@ -22,7 +22,7 @@ def load(name):
         sys.path.remove(str(ROOT / "book"))
 
 
-paper_map, notebook_pages, generated_pages = map(load, ("paper_map", "notebook_pages", "generated_pages"))
+equation_map, notebook_pages, generated_pages = map(load, ("equation_map", "notebook_pages", "generated_pages"))
 
 SOLVED = "def f(x):\n    # BEGIN SOLUTION\n    return 2 * x\n    # END SOLUTION"
 
@@ -71,7 +71,7 @@ def test_links_hold_in_the_book_or_become_words(link, becomes):
 
 
 def test_the_paper_map_is_read_whole():
-    found = {part.id: part for part in paper_map.parts(ROOT / "PAPER_MAP.md")}
+    found = {part.id: part for part in equation_map.parts(ROOT / "PAPER_MAP.md")}
     eq8 = found["Eq. 8"]
     assert (eq8.function, eq8.test, eq8.notebook) == ("diffusion.loss", "test_eps_loss_is_eq8", "04_ddpm_math")
     assert eq8.group == "Equations" and eq8.anchor.startswith("5 ") and "objective" in eq8.paper
@@ -86,18 +86,18 @@ def _lines(name):
 def test_a_row_of_another_form_is_refused(tmp_path):
     (tmp_path / "map.md").write_text("## A\n\n| Eq. 1 | one | two |\n", encoding="utf-8")
     with pytest.raises(ValueError, match="expected five columns, got 3"):
-        paper_map.parts(tmp_path / "map.md")
+        equation_map.parts(tmp_path / "map.md")
 
 
 def test_a_summary_shows_the_source_of_what_its_notebook_teaches():
-    found = paper_map.parts(ROOT / "PAPER_MAP.md")
+    found = equation_map.parts(ROOT / "PAPER_MAP.md")
     page = generated_pages.summary("04_ddpm_math", found, ROOT)
     assert "## Eq. 7: `diffusion.q_sample`" in page and "def q_sample(" in page
     assert "{py:obj}`schedule.make_schedule <ditr_lite.schedule.make_schedule>`" in page
 
 
 def test_the_equation_map_links_into_notebooks():
-    found = paper_map.parts(ROOT / "PAPER_MAP.md")
+    found = equation_map.parts(ROOT / "PAPER_MAP.md")
     page = generated_pages.equation_map(found, ["04_ddpm_math"], ROOT)
     assert "(notebooks/04_ddpm_math.ipynb#eq-9-as-printed-then-as-it-must-be)" in page
     assert "{py:obj}`diffusion.q_sample <ditr_lite.diffusion.q_sample>`" in page

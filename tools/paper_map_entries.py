@@ -16,7 +16,7 @@ Eq. 2 | done | 01_depth_loss_anatomy | 7 · The truth about every pixel (Fig. 4)
 loss_types.Partition | test_loss_types.py::test_partition_is_complete_and_disjoint
 the two parts are disjoint (printed as {φ}; ∅ is meant)
 
-Eq. 3 | done | 06_full_pipeline | 10 · Compose
+Eq. 3 | done | 06_full_pipeline | 11 · Put the windows back, and compose
 pipeline.Ditr | test_pipeline.py::test_the_result_is_composed_of_what_both_branches_painted
 D_out = DITR(D_in given X): the whole system
 
@@ -92,7 +92,7 @@ S8 | done | 05_boundary_maps | 5 · Three backends behind one call
 stage_two.Plan | test_pipeline.py::test_each_branch_has_its_own_boundary_map
 two extractors: M_DA guides the optical branch, M_RGB the geometric one
 
-S9 | done | 06_full_pipeline | 10 · Compose
+S9 | done | 06_full_pipeline | 11 · Put the windows back, and compose
 pipeline.compose | test_composition.py::test_composition_follows_the_rule_pixel_by_pixel
 mask × depth splits to two branches; inside re-estimated, outside filled, the rest kept
 
@@ -152,7 +152,7 @@ F6 | done | 03_vq_autoencoder | 7 · Look at latents: the paper's figure, remade
 autoencoder.VQAutoencoder | test_autoencoder.py::test_crops_and_whole_images_agree_in_the_interior
 latent representation
 
-F7 | done | 06_full_pipeline | 8 · Denoise
+F7 | done | 06_full_pipeline | 9 · Denoise
 stage_two.paint | test_pipeline.py::test_the_result_is_composed_of_what_both_branches_painted
 diffusion block: condition, encode, denoise, decode
 
@@ -180,7 +180,7 @@ F13 | done | 08_ablations | The worst ten
 studies.failures.worst | studies/test_failures.py::test_the_worst_come_first
 failure cases
 
-C1 | done | 06_full_pipeline | 11 · Score it beside every baseline
+C1 | done | 06_full_pipeline | 12 · Score it beside every baseline
 baselines.keep_and_fill | test_baselines.py::test_keeping_keeps_readings_inside
 DeepCompletion; the idea: trust every reading, solve for the smoothest surface in the holes
 
@@ -200,7 +200,7 @@ C5 | done | 04_ddpm_math | Who asks whom?
 unet.CrossAttentionLatentQuery | test_unet.py::test_query_order_changes_the_result
 LDM; the idea: the latent asks, the condition answers
 
-C6 | done | 06_full_pipeline | 11 · Score it beside every baseline
+C6 | done | 06_full_pipeline | 12 · Score it beside every baseline
 baselines.harmonic | test_baselines.py::test_readings_inside_the_region_are_not_looked_at
 ClearGrasp; the idea: drop the readings inside the region, solve from what surrounds it
 
@@ -212,7 +212,7 @@ C8 | left out | - | -
 - | -
 TranspareNet; the idea: complete the distorted cloud, then the map
 
-C9 | done | 06_full_pipeline | 11 · Score it beside every baseline
+C9 | done | 06_full_pipeline | 12 · Score it beside every baseline
 baselines.keep_and_fill_debiased | test_baselines.py::test_debiased_takes_the_bias_off_inside_only
 DFNet; the idea: correct the readings inside the region instead of dropping them
 
