@@ -275,7 +275,7 @@ METRICS = [
     *family(
         "averages and intervals",
         "evaluation/uncertainty",
-        ("kept: doubt forgotten", "doubt.astype(np.float64)], axis=1)", "0 * doubt.astype(np.float64)], axis=1)"),
+        ("kept: doubt forgotten", "np.ones_like(square), doubt], axis=1)", "np.ones_like(square), 0 * doubt], axis=1)"),
         ("temperature: upside down", "logs * np.exp(-log)", "logs * np.exp(log)"),
         ("risk: the worst are kept", 'np.argsort(score, kind="stable")', 'np.argsort(-score, kind="stable")'),
     ),

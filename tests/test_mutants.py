@@ -38,6 +38,11 @@ FORMULAS = {  # each has its own family of mistakes
     "encoder",
     "stage two",
     "readings held (detail)",
+    "files of any camera",
+    "one set of weights",
+    "cameras of datasets",
+    "stage one in a frame",
+    "stage one scored",
 }
 
 

@@ -14,6 +14,7 @@ from ditr_lite.config import override, preset
 from ditr_lite.data import SAMPLES, list_samples
 from ditr_lite.evaluation import boundary as boundary_scoring
 from ditr_lite.training import boundary as boundary_training
+from ditr_lite.training.scenes import load_scenes
 
 ROOT = Path(__file__).resolve().parents[2]
 spec = importlib.util.spec_from_file_location("guide_study", ROOT / "tools" / "guide_study.py")
@@ -80,7 +81,7 @@ def test_guide_study_gives_every_guide_to_both_branches_and_goes_on_where_it_was
 
 
 def test_the_guides_of_the_study_differ_only_where_they_should():
-    names = list_samples("val")[:1]
-    maps = dict(zip(study.TRAINED, study.guides(SAMPLES / "val", names, only=study.TRAINED)[:, 0], strict=True))
+    scenes = load_scenes(SAMPLES / "val", limit=1)
+    maps = dict(zip(study.TRAINED, study.guides(scenes, only=study.TRAINED)[:, 0], strict=True))
     assert not maps["none"].any() and maps["m_rgb"].any() and maps["exact"].any()
     assert (maps["m_da"] <= maps["m_rgb"]).all()

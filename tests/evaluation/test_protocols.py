@@ -41,7 +41,7 @@ def offset(frame, inside=0.02, outside=0.005):
 
 
 def test_the_command_line_offers_every_protocol():
-    assert tuple(PROTOCOLS) == command_line.PROTOCOLS and PROTOCOLS["cleargrasp"] is CLEARGRASP
+    assert tuple(PROTOCOLS) == command_line.evaluate.PROTOCOLS and PROTOCOLS["cleargrasp"] is CLEARGRASP
     args = command_line.parser().parse_args(["evaluate", "--protocol", "dfnet"])
     assert args.protocol == "dfnet"
     with pytest.raises(ValueError, match="invalid choice"):

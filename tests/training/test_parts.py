@@ -178,8 +178,7 @@ def test_errors_of_a_branch_are_those_of_its_own_pixels(branch, due, monkeypatch
 
     def wrong_inside(branch, painter, batch, config, seed=0):
         region = batch.region
-        middle = (batch.bounds.low * batch.bounds.high).sqrt()
-        painted = batch.bounds.normalise(batch.truth_m.clamp(min=0.1) + 0.01 * middle * region)
+        painted = batch.bounds.normalise(batch.truth_m.clamp(min=0.1) * (0.01 * region).exp())
         return painted, region if branch == "optical" else (1 - region) * (1 - batch.valid)
 
     monkeypatch.setattr(module.recipes, "one_step", wrong_inside)
