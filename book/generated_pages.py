@@ -40,7 +40,9 @@ def write_all(root: Path, source: Path, notebooks: list[str]) -> None:
     results = _section(readme, "Results").replace("\n**", "\n\n**")
     limits = _section(readme, "What it does not do")
     _write(source / "results.md", f"# Results\n\n{_links(results)}\n\n## What it does not do\n\n{_links(limits)}")
-    _write(source / "data_card.md", (root / "data_samples" / "README.md").read_text(encoding="utf-8"))
+    card = (root / "data_samples" / "README.md").read_text(encoding="utf-8")
+    # the panoramas' own page is no page of the book
+    _write(source / "data_card.md", card.replace("[environments](environments/README.md)", "`environments`"))
     _write(source / "changelog.md", (root / "CHANGELOG.md").read_text(encoding="utf-8"))
     names = ("LICENSE", "LICENSE-CC-BY-4.0")
     texts = {name: (root / name).read_text(encoding="utf-8") for name in names}

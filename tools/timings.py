@@ -30,16 +30,18 @@ HEADING = re.compile(r"^#+ +(.+)$", re.MULTILINE)
 
 
 class PeakMemory(threading.Thread):
-    """Watch the resident memory of all processes that this one has started; ``peak`` is the largest sum in bytes."""
+    """Watch the resident memory of all processes that this one starts from now on; ``peak`` is their largest sum."""
 
     def __init__(self) -> None:
         super().__init__(daemon=True)
         self.peak, self._ended = 0, threading.Event()
+        self._others = {process.pid for process in psutil.Process().children(recursive=True)}
 
     def run(self) -> None:
         """Sample until ``stop`` is called."""
         while not self._ended.wait(0.1):
-            self.peak = max(self.peak, sum(map(_resident, psutil.Process().children(recursive=True))))
+            started = [p for p in psutil.Process().children(recursive=True) if p.pid not in self._others]
+            self.peak = max(self.peak, sum(map(_resident, started)))
 
     def stop(self) -> int:
         """End the watch and return the peak in bytes."""
