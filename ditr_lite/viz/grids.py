@@ -215,4 +215,4 @@ def save_panel(
     smallest = min(max(extent.width, extent.height) for extent in extents)
     figure.set_dpi(np.ceil(figure.dpi * max(1.0, 1.01 * width / smallest)))
     with written_whole(path) as part:
-        part.write_bytes(figure.png())
+        part.write_bytes(figure.png(colours=256))
