@@ -12,16 +12,17 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from .. import diffusion
-from ..autoencoder import VQAutoencoder, autoencoder_loss
+from ..autoencoder import VQAutoencoder
 from ..boundary import Backend
 from ..conditioning import condition, fill
 from ..config import Config
 from ..detail import detail_input
-from ..region import ColourEncoder, region_loss
+from ..region import ColourEncoder
 from ..schedule import NoiseSchedule, make_schedule
 from ..stage_two import Painter, encode_picture
 from .batches import Batch, draw_frames, draw_windows
 from .loop import Recipe
+from .losses import autoencoder_loss, region_loss
 from .scenes import Pool
 
 CLASS_WEIGHTS = (0.4, 1.0, 1.0)  # background, transparent, reflective
