@@ -162,7 +162,8 @@ class VQAutoencoder(nn.Module):
         super().__init__()
         if not config.multipliers:
             raise ValueError(f"expected multipliers for strides 2, 4, ..., at least one; got {config.multipliers}")
-        latent, widths = config.latent_channels, [config.width * m for m in config.multipliers]
+        latent = config.latent_channels
+        widths = [config.width * m for m in config.multipliers]
         self.config = config
         encoder = [nn.PixelUnshuffle(2), nn.Conv2d(4, widths[0], 3, padding=1)]  # (B, 1, H, W) -> (B, c, H/2, W/2)
         for i, width in enumerate(widths):

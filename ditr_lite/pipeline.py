@@ -376,14 +376,14 @@ class Ditr:
             bounds = depth_bounds(depth, ~region if around else None)
             depth_n, valid = depth_tensors(depth, bounds)
             maps = boundary_maps(rgb, depth, self.backend)
-            empty = np.zeros_like(region)
-            masks = [region, empty if guide is None else maps[guide], maps[M_RGB]]
-            masks = [torch.from_numpy(mask)[None, None].float() for mask in masks]  # (1, 1, h, w) each
+            guiding = np.zeros_like(region) if guide is None else maps[guide]
+            masks = [torch.from_numpy(m)[None, None].float() for m in (region, guiding, maps[M_RGB])]  # (1, 1, h, w)
             rows.append((to_tensor(rgb[None]), depth_n, valid, *masks))
             lows.append(bounds.low)
             highs.append(bounds.high)
         columns = (torch.cat(column) for column in zip(*rows, strict=True))
-        low, high = (torch.tensor(v, dtype=torch.float32).view(-1, 1, 1, 1) for v in (lows, highs))
+        low = torch.tensor(lows, dtype=torch.float32).view(-1, 1, 1, 1)
+        high = torch.tensor(highs, dtype=torch.float32).view(-1, 1, 1, 1)
         return Views(*self._put(*columns)), Bounds(low, high)
 
     def painter(self, branch: str, plan: Plan = Plan()) -> Painter:  # noqa: B008  frozen

@@ -159,8 +159,8 @@ def levels(t: Tensor, schedule: NoiseSchedule, **data: Tensor) -> tuple[Tensor, 
         raise ValueError(f"{first}: expected floating ({len(t)}, ...), one entry per t, got {got}")
     for name, x in data.items():
         if x.shape != ref.shape or x.dtype != ref.dtype:
-            expected, got = (f"{y.dtype} {tuple(y.shape)}" for y in (ref, x))
-            raise ValueError(f"{name}: expected {expected} like {first}, got {got}")
+            expected = f"{ref.dtype} {tuple(ref.shape)}"
+            raise ValueError(f"{name}: expected {expected} like {first}, got {x.dtype} {tuple(x.shape)}")
     return schedule.signal_noise(t, ref)
 
 

@@ -209,6 +209,31 @@ def test_a_public_name_means_one_thing():
     assert namesakes(SOURCES) == SHARED
 
 
+# What a learner studies: the method, in the paper's order.
+STUDIED = ("conditioning.py", "region/", "boundary/maps.py", "autoencoder.py", "schedule.py", "diffusion.py", "unet.py")
+STUDIED += ("stage_two.py", "pipeline.py")
+COMPREHENSIONS = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
+
+
+def dense(source):
+    """Return the lines of ``source`` with an assignment inside an expression, or a comprehension in another one."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.NamedExpr):
+            found.add(node.lineno)
+        if isinstance(node, COMPREHENSIONS):
+            inner = [part for part in ast.walk(node) if part is not node and isinstance(part, COMPREHENSIONS)]
+            found |= {part.lineno for part in inner}
+    return sorted(found)
+
+
+def test_the_method_is_short_and_read_one_operation_at_a_time():
+    assert dense("a = [x for x in y]\nb = {k: [x for x in v] for k, v in c}\nif (d := a):\n    pass") == [2, 3]
+    studied = {file: source for file, source in SOURCES.items() if file.startswith(STUDIED)}
+    assert {file: dense(source) for file, source in studied.items()} == dict.fromkeys(studied, [])
+    assert len(studied) == 11 and sum(source.count("\n") for source in studied.values()) <= 2100
+
+
 def test_no_tool_takes_a_private_name():
     tools = [p for p in PYTHON if ROOT / "tools" in p.parents]
     assert tools and faults(lambda path: private_uses(ast.parse(path.read_text(encoding="utf-8"))), tools) == {}

@@ -127,7 +127,8 @@ class RegionNet(nn.Module):
         self.encoder_depth = Encoder(2, config.width, config.levels)
         self.fusion = nn.ModuleList(CrossModalFusion(c) for c in widths)
         self.context = _conv(widths[-1], widths[-1], dilation=2)
-        finer = list(reversed(list(zip(widths[:-1], widths[1:], strict=True))))  # (fine, coarse) channels, coarse first
+        pairs = zip(widths[:-1], widths[1:], strict=True)  # (fine, coarse) channels of neighbouring levels
+        finer = list(pairs)[::-1]  # coarse levels first
         self.lateral = nn.ModuleList(nn.Conv2d(coarse, fine, 1) for fine, coarse in finer)
         self.decode = nn.ModuleList(_conv(fine, fine) for fine, _ in finer)
         self.side = nn.ModuleList(nn.Conv2d(c, config.classes, 1) for c in reversed(widths[1:]))

@@ -86,7 +86,9 @@ def autoencoder_step(
         for batch in batches:
             for gt, known in zip(fill(batch.gt_n, batch.gt_known), batch.gt_known, strict=True):
                 side = min(crop, *gt.shape[1:])
-                y, x = (factor * int(rng.integers(0, (n - side) // factor + 1)) for n in gt.shape[1:])
+                height, width = gt.shape[1:]
+                y = factor * int(rng.integers(0, (height - side) // factor + 1))
+                x = factor * int(rng.integers(0, (width - side) // factor + 1))
                 crops.append((gt[:, y : y + side, x : x + side], known[:, y : y + side, x : x + side]))
         gt, known = (torch.stack(parts) for parts in zip(*crops, strict=True))  # (B, 1, crop, crop) each
         return autoencoder_loss(gt, model(cl(gt)), known)
