@@ -209,7 +209,7 @@ def check_moving_average(attempt: Function) -> bool:
 
     mistakes = {
         "a[index] += v adds only one of several vectors of a code: np.add.at, or a sum over a mask": buffered,
-        "a[index] += v keeps only the last vector of each code: np.add.at, or a sum over a mask": lambda n, m, v, i, d: (
+        "a[index] += v keeps a code's last vector only: np.add.at, or a sum over a mask": lambda n, m, v, i, d: (
             buffered(n, m, v, i, d, count_too=False)
         ),
         "decay weighs the past, 1 - decay the batch": wrong(

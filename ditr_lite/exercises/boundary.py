@@ -118,8 +118,8 @@ def check_scores(attempt: Function) -> bool:
 def check_suppress(attempt: Function) -> bool:
     """Check ``attempt(masks (N, H, W), scores (N,), max_overlap) -> list of indices`` that survive, best first.
 
-    A mask is dropped when its overlap with a kept one is larger than ``max_overlap``; equal is not larger. No two scores
-    are equal.
+    A mask is dropped when its overlap with a kept one is larger than ``max_overlap``; equal is not larger. All scores
+    differ.
     """
 
     def greedy(masks, scores, limit, by=None, dropped_count=False, equal_stays=True):
@@ -146,8 +146,8 @@ def check_suppress(attempt: Function) -> bool:
             m, s, t, by=lambda a, b: a.sum()
         ),
         "a mask that was dropped itself still drops others": lambda m, s, t: greedy(m, s, t, dropped_count=True),
-        "an overlap equal to max_overlap does not exceed it: such a mask is kept": lambda m, s, t: (
-            greedy(m, s, t, equal_stays=False)
+        "an overlap equal to max_overlap does not exceed it: such a mask is kept": lambda m, s, t: greedy(
+            m, s, t, equal_stays=False
         ),
         "that keeps what overlaps; drop it": lambda m, s, t: [k for k in range(len(m)) if k not in suppress(m, s, t)],
     }

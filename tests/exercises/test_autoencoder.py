@@ -182,7 +182,7 @@ MISTAKES = [
     (checks.check_moving_average, averages(lambda n, m, h, s, d: (d * m + (1 - d) * s) / n), "count is not moved"),
     (checks.check_moving_average, averages(lambda n, m, h, s, d: (m + s) / (n + h)), "without decay"),
     (checks.check_moving_average, added_by_index, "adds only one of several"),
-    (checks.check_moving_average, summed_by_index, "keeps only the last vector"),
+    (checks.check_moving_average, summed_by_index, "last vector only"),
     (checks.check_perplexity, entropy, "take its exponential"),
     (checks.check_perplexity, lambda c: np.exp(-entropy(c)), "sign is turned"),
     (checks.check_perplexity, lambda c: np.e ** (entropy(c) / np.log(2)), "one base"),
