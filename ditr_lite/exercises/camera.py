@@ -38,7 +38,7 @@ def check_to_metres(attempt: Function) -> bool:
         ).astype(np.float32),
     }
     cases = [(RAW, 0.001), (RAW, 0.00025), (RAW, 0.0001)]
-    return check("to metres", attempt, right, cases, mistakes)
+    return check("to metres", attempt, right, cases, mistakes, dtype=True)
 
 
 def check_resized_camera(attempt: Function) -> bool:
@@ -182,10 +182,16 @@ def check_fill_share(attempt: Function) -> bool:
     region[2:5, 3:8] = True
     raw = clean_depth(RNG.uniform(0.4, 0.9, region.shape))
     raw[RNG.random(raw.shape) < 0.3] = 0
-    completed = np.where(region | (raw == 0), np.float32(0.55), raw)
+    raw[3, 4:6] = 0.55
+    completed = np.where(region | (raw == 0), np.float32(0.55), raw)  # two readings of the region come out as they were
     mistakes = {
         "missing pixels count as kept": lambda r, c, m: ((~m).mean(), m.mean(), (~m & (r == 0)).mean()),
         "holes inside the region belong to the region": lambda r, c, m: (right(r, c, m)[0], m.mean(), (r == 0).mean()),
+        "inside the region nothing is kept, even where the estimate equals the reading": lambda r, c, m: (
+            (c == r).mean(),
+            m.mean(),
+            (~m & (r == 0)).mean(),
+        ),
         "those are per cent; shares are wanted": lambda r, c, m: tuple(100 * x for x in right(r, c, m)),
         "those are pixel counts; divide by the number of pixels": lambda r, c, m: tuple(
             x * r.size for x in right(r, c, m)

@@ -58,6 +58,7 @@ MISTAKES = [
     (checks.check_to_metres, lambda r, s: np.where(to_metres(r, s) > 0, to_metres(r, s), np.nan), "NaN"),
     (checks.check_to_metres, in_place, "changes its input"),
     (checks.check_to_metres, lambda r, s: to_metres(r, s)[None], "shape"),
+    (checks.check_to_metres, lambda r, s: to_metres(r, s).astype(np.float64), "should be float32, got float64"),
     (checks.check_resized_camera, lambda c, w, h: tuple(x * w / c.width for x in (c.fx, c.fy, c.cx, c.cy)), "differ"),
     (
         checks.check_resized_camera,
@@ -98,6 +99,7 @@ MISTAKES = [
     (checks.check_fill_share, lambda r, c, m: tuple(80 * x for x in shares(r, c, m)), "pixel counts"),
     (checks.check_fill_share, lambda r, c, m: ((r > 0).mean(), *shares(r, c, m)[1:]), "not kept"),
     (checks.check_fill_share, lambda r, c, m: shares(r, c, ~m), "inverted"),
+    (checks.check_fill_share, lambda r, c, m: ((c == r).mean(), *shares(r, c, m)[1:]), "equals the reading"),
 ]
 
 
