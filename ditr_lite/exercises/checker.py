@@ -17,6 +17,7 @@ def check(
     inputs: Sequence[tuple],
     mistakes: Mapping[str, Function] | None = None,
     rtol: float = 1e-5,
+    typed: bool = False,
 ) -> bool:
     """Compare ``attempt`` with ``reference`` on every input; print the verdict and return whether they agree.
 
@@ -27,8 +28,9 @@ def check(
         inputs: one tuple of arguments per case.
         mistakes: message -> wrong function; the first one that yields the learner's results is named.
         rtol: relative tolerance; 0 asks for the same bits.
+        typed: the results must also have the reference's dtype.
     """
-    return announce(name, lambda: _compare(attempt, reference, inputs, mistakes or {}, rtol))
+    return announce(name, lambda: _compare(attempt, reference, inputs, mistakes or {}, rtol, typed))
 
 
 def announce(name: str, problem: Callable[[], str | None]) -> bool:
@@ -48,7 +50,7 @@ def announce(name: str, problem: Callable[[], str | None]) -> bool:
     return not reason
 
 
-def _compare(attempt, reference, inputs, mistakes, rtol) -> str | None:
+def _compare(attempt, reference, inputs, mistakes, rtol, typed) -> str | None:
     """Return why ``attempt`` is wrong, or None."""
     results = []
     for case in inputs:
@@ -57,7 +59,7 @@ def _compare(attempt, reference, inputs, mistakes, rtol) -> str | None:
         if any(isinstance(a, np.ndarray) and not np.array_equal(a, b) for a, b in zip(given, case, strict=True)):
             return "it changes its input; work on a copy"
     wanted = [reference(*copy.deepcopy(case)) for case in inputs]
-    reasons = [_difference(got, want, rtol) for got, want in zip(results, wanted, strict=True)]
+    reasons = [_difference(got, want, rtol, typed) for got, want in zip(results, wanted, strict=True)]
     reason = next(filter(None, reasons), None)
     if reason is None:
         return None
@@ -71,7 +73,7 @@ def _compare(attempt, reference, inputs, mistakes, rtol) -> str | None:
     return reason
 
 
-def _difference(got: Any, want: Any, rtol: float) -> str | None:
+def _difference(got: Any, want: Any, rtol: float, typed: bool = False) -> str | None:
     """Return how ``got`` differs from ``want``, or None."""
     if got is None:
         return "it returns nothing: is a `return` missing?"
@@ -82,7 +84,7 @@ def _difference(got: Any, want: Any, rtol: float) -> str | None:
         return f"the result should be {want.dtype}, got {got.dtype}"
     if got.dtype.kind not in "bfiu":
         return f"the result should be numbers, got {got.dtype}"
-    if rtol == 0 and got.dtype != want.dtype:
+    if (typed or rtol == 0) and got.dtype != want.dtype:
         return f"the result should be {want.dtype}, got {got.dtype}"
     same = got == want if rtol == 0 or want.dtype == bool else np.isclose(got, want, rtol=rtol, atol=0, equal_nan=True)
     if same.all():
