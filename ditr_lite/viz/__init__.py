@@ -1,22 +1,17 @@
 """Every picture of the repository; ``dl.viz.grid`` and its like, drawn with Matplotlib outside pyplot."""
 
-from .grids import (
+from ..camera import unproject as point_cloud_points
+from .grids import Panel, compare, contact_sheet, grid, row, save_panel
+from .panels import (
     GREY,
     OKABE_ITO,
-    Panel,
     Picture,
-    compare,
-    contact_sheet,
     depth,
     depth_limits,
     error,
-    grid,
     labels,
-    point_cloud_points,
     point_cloud_side,
     rgb,
-    row,
-    save_panel,
     signed_error,
     spread,
 )
