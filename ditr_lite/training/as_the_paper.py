@@ -13,9 +13,9 @@ from functools import partial
 from torch import nn
 
 from ..boundary import Backend
-from ..region import region_loss
 from .batches import Batch, epoch_frames, steps_of_an_epoch
 from .loop import FALL, Losses, Recipe, Share, Step, fall_by, fit
+from .losses import region_loss
 from .recipes import CLASS_WEIGHTS
 from .scenes import Scenes
 
@@ -146,7 +146,7 @@ def train_region(
     notes = fit(
         "region",
         model,
-        Step(draw, partial(score_region, model, class_weights)),
+        Step(draw, partial(score_epoch, model, class_weights)),
         recipe,
         None,
         validate,
@@ -171,7 +171,7 @@ def draw_epoch(
     return epoch_frames(scenes, size, count, step, seed, backend, share)
 
 
-def score_region(model: nn.Module, class_weights: tuple[float, ...], drawn: Batch, step: int, share: Share) -> Losses:
+def score_epoch(model: nn.Module, class_weights: tuple[float, ...], drawn: Batch, step: int, share: Share) -> Losses:
     """Score what stage one says of frames."""
     weight = drawn.rgb.new_tensor(class_weights)
     return region_loss(model(drawn.rgb, drawn.depth_n, drawn.valid), drawn.material, weight)

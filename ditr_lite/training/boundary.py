@@ -45,11 +45,11 @@ def boundary_step(mode: str, model: nn.Module, scenes: Scenes, recipe: Recipe, s
     That is what scoring at a tolerance of one pixel asks, and it does not punish a network for not knowing on which of
     two neighbouring pixels an edge lies. Depth is unknown where the truth is: nothing is asked there.
     """
-    draw = partial(draw_crops, mode, scenes, exact_outlines(scenes)[mode], recipe.batch, seed)
+    draw = partial(draw_outlines, mode, scenes, exact_outlines(scenes)[mode], recipe.batch, seed)
     return Step(draw, partial(score_crops, model))
 
 
-def draw_crops(
+def draw_outlines(
     mode: str, scenes: Scenes, outlines: np.ndarray, count: int, seed: int, step: int, share: Share
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return a share of the crops of a step, stacked; see :func:`draw_crop`."""

@@ -48,7 +48,7 @@ class State:
     best: dict[str, Tensor] = field(default_factory=dict)
 
 
-def write(path: Path, state: State, run: str, steps: int, shares: int) -> None:
+def write_checkpoint(path: Path, state: State, run: str, steps: int, shares: int) -> None:
     """Write a checkpoint.
 
     Args:
@@ -79,7 +79,7 @@ def digest(tensors: Mapping[str, Tensor], about: Mapping[str, str]) -> str:
     return found.hexdigest()
 
 
-def read(path: Path, run: str, steps: int) -> tuple[dict[str, Tensor], dict[str, str]]:
+def read_checkpoint(path: Path, run: str, steps: int) -> tuple[dict[str, Tensor], dict[str, str]]:
     """Return the tensors of a checkpoint and what it says of itself.
 
     Raises:
@@ -121,9 +121,9 @@ def restore(path: Path, log: Path, state: State, run: str, steps: int) -> int:
         into how many shares the batches were divided.
 
     Raises:
-        ValueError: as :func:`read`, and for a checkpoint of other sizes.
+        ValueError: as :func:`read_checkpoint`, and for a checkpoint of other sizes.
     """
-    tensors, about = read(path, run, steps)
+    tensors, about = read_checkpoint(path, run, steps)
     try:
         state.model.load_state_dict(_of("model.", tensors))
         for key, value in state.average.items():

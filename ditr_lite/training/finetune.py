@@ -28,12 +28,13 @@ from torch import Tensor, nn
 
 from ..boundary import get_backend
 from ..config import Config, RefineConfig
-from ..region import region_loss, region_probability
+from ..region import region_probability
 from ..schedule import make_schedule
 from ..stage_two import BRANCHES, Painter, Views, paint
 from .as_the_paper import MOMENTUM, WEIGHT_DECAY, draw_epoch
 from .batches import Batch
 from .loop import Losses, Recipe, Share, Step, fit
+from .losses import region_loss
 from .parts import painter_of
 from .recipes import CLASS_WEIGHTS
 from .scenes import Scenes

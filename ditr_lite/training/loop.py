@@ -247,7 +247,7 @@ class Draws(Dataset):
         return [self.draw(k, share) for share in self.shares]
 
 
-def load(step: Step, shares: Sequence[Share], steps: range, workers: int) -> Iterator[list[Any]]:
+def drawn_shares(step: Step, shares: Sequence[Share], steps: range, workers: int) -> Iterator[list[Any]]:
     """Return the drawn shares of every step, in order, whoever prepares them."""
     how = {"num_workers": workers, "worker_init_fn": _alone} if workers else {}
     return iter(DataLoader(Draws(step, shares), batch_size=None, sampler=steps, collate_fn=_as_it_is, **how))
@@ -319,7 +319,7 @@ def fit(
         state.curve.append({"step": 0, "seconds": 0.0} | run.validate(validate))
         run.keep_best()
     left = range(state.step, state.step if run.is_over() else recipe.steps)
-    drawn = load(step, run.shares, left, engine.workers)
+    drawn = drawn_shares(step, run.shares, left, engine.workers)
     bar = {} if progress and accelerator.is_main_process else {"disable": True}  # left to tqdm's own default otherwise
     model.train()
     for k in tqdm(left, name, recipe.steps, initial=state.step, unit="step", **bar):
@@ -336,7 +336,7 @@ def fit(
         norm = nn.utils.clip_grad_norm_(state.parameters, recipe.clip or math.inf)
         run.check_finite(k, losses, norm)
         state.optimiser.step()
-        follow(state.average, model, min(recipe.decay, (k + 1) / (k + 10)) if recipe.ramp else recipe.decay)
+        follow_average(state.average, model, min(recipe.decay, (k + 1) / (k + 10)) if recipe.ramp else recipe.decay)
         state.step = k + 1
         logged = state.step % every == 0 or state.step == recipe.steps
         figures = run.mean_of(losses) if logged or watch else {}
@@ -471,7 +471,7 @@ class Run:
         """Write log and checkpoint, in the first process; the others wait."""
         if self.folder is not None and self.accelerator.is_main_process:
             checkpoints.write_log(self.log, self.state.curve)
-            checkpoints.write(self.checkpoint, self.state, self.key, self.recipe.steps, self.shares[0].of)
+            checkpoints.write_checkpoint(self.checkpoint, self.state, self.key, self.recipe.steps, self.shares[0].of)
         self.accelerator.wait_for_everyone()
 
     def end(self) -> dict[str, Any]:
@@ -517,7 +517,7 @@ def to_device(drawn: Any, device: torch.device) -> Any:
 
 
 @torch.no_grad()
-def follow(average: dict[str, Tensor], model: nn.Module, decay: float) -> None:
+def follow_average(average: dict[str, Tensor], model: nn.Module, decay: float) -> None:
     """Move the average towards the model's tensors; counters and the codebook, an average already, are copied."""
     for key, value in model.state_dict().items():
         if value.is_floating_point() and "quantizer" not in key:

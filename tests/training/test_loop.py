@@ -45,7 +45,7 @@ def test_moving_average_has_its_closed_form():
     average = {"weight": torch.tensor([[4.0]])}
     nn.init.constant_(model.weight, 1.0)
     for _ in range(7):
-        loop.follow(average, model, decay=0.9)
+        loop.follow_average(average, model, decay=0.9)
     assert average["weight"].item() == pytest.approx(1 + 3 * 0.9**7)
 
 
@@ -53,7 +53,7 @@ def test_counters_and_codebook_are_copied_not_averaged():
     model = nn.ModuleDict({"quantizer": nn.Linear(1, 1), "bn": nn.BatchNorm1d(1)})
     average = {k: torch.zeros_like(v) for k, v in model.state_dict().items()}
     model["bn"].num_batches_tracked += 5
-    loop.follow(average, model, decay=0.9)
+    loop.follow_average(average, model, decay=0.9)
     assert torch.equal(average["quantizer.weight"], model["quantizer"].weight)
     assert average["bn.num_batches_tracked"] == 5 and torch.allclose(average["bn.weight"], torch.tensor(0.1))
 
@@ -209,7 +209,7 @@ def plain_loop(model, step_loss, recipe, seed=0):
         total.backward()
         nn.utils.clip_grad_norm_(model.parameters(), 1.0)
         optimiser.step()
-        loop.follow(average, model, min(recipe.decay, (step + 1) / (step + 10)))
+        loop.follow_average(average, model, min(recipe.decay, (step + 1) / (step + 10)))
         totals.append(float(total.detach()))
     return average, totals
 
