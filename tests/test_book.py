@@ -6,6 +6,7 @@ import re
 import sys
 from pathlib import Path
 
+import nbformat
 import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
@@ -62,7 +63,9 @@ def test_an_exercise_stands_open_above_its_folded_solution():
         ("[a](04_ddpm_math.ipynb#x)", "[a](04_ddpm_math.ipynb#x)"),
         ("[a](https://arxiv.org/abs/1)", "[a](https://arxiv.org/abs/1)"),
         ("[a](../PAPER_MAP.md)", "[a](../equation_map.md)"),
-        ("[a](../book/glossary.md#term-region)", "[a](../glossary.md#term-region)"),
+        ("[a](../book/glossary.md#term-region)", "{term}`a <region>`"),
+        ("[a](../book/glossary.md#term-signal-to-noise-ratio)", "{term}`a <signal-to-noise ratio>`"),
+        ("[a](../book/glossary.md)", "[a](../glossary.md)"),
         ("see [a file](../ditr_lite/config.py) there", "see a file there"),
         ("![alt](attachment:p.png)", "![alt](attachment:p.png)"),
     ],
@@ -88,6 +91,18 @@ def test_a_row_of_another_form_is_refused(tmp_path):
     (tmp_path / "map.md").write_text("## A\n\n| Eq. 1 | one | two |\n", encoding="utf-8")
     with pytest.raises(ValueError, match="expected five columns, got 3"):
         equation_map.parts(tmp_path / "map.md")
+
+
+def test_a_link_to_a_term_that_is_not_there_is_refused():
+    with pytest.raises(ValueError, match="no such term"):
+        notebook_pages.book_links("[a](../book/glossary.md#term-nonsense)")
+
+
+def test_links_of_the_notebooks_lead_to_terms_of_the_glossary():
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        for cell in nbformat.read(path, as_version=4).cells:
+            if cell.cell_type == "markdown":
+                notebook_pages.book_links(cell.source)
 
 
 def test_a_summary_shows_the_source_of_what_its_notebook_teaches():

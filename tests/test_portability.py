@@ -77,7 +77,8 @@ def pins(name):
 def test_the_light_set_has_the_pins_of_the_full_one():
     light, full = pins("environment-class.txt"), pins("environment.txt")
     assert {name: pin for name, pin in light.items() if name != "setuptools"}.items() <= full.items()
-    assert {"transformers", "diffusers", "mitsuba", "accelerate", "plotly"} & set(light) == set()
+    assert {"transformers", "diffusers", "mitsuba", "plotly"} & set(light) == set()
+    assert "accelerate" in light  # notebook 02 trains
     assert int(light["setuptools"].split(".")[0]) >= 77  # what pyproject.toml builds with
 
 
