@@ -2,6 +2,7 @@
 
 import hashlib
 import importlib
+import re
 import sys
 from pathlib import Path
 
@@ -107,6 +108,7 @@ def test_links_of_the_notebooks_lead_to_terms_of_the_glossary():
 def test_a_summary_shows_the_source_of_what_its_notebook_teaches():
     found = equation_map.parts(ROOT / "PAPER_MAP.md")
     page = generated_pages.summary("04_ddpm_math", found, ROOT)
+    assert "Reference: {py:obj}" in generated_pages.summary("02_region_refinement", found, ROOT)
     assert "## Eq. 7: `diffusion.q_sample`" in page and "def q_sample(" in page
     assert "{py:obj}`schedule.make_schedule <ditr_lite.schedule.make_schedule>`" in page
 
@@ -122,9 +124,32 @@ def test_the_reference_follows_the_packages_list():
     import ditr_lite
 
     names = generated_pages.core()
-    assert {"config", "diffusion", "boundary", "pipeline"} <= set(names)
+    assert {"config", "diffusion", "boundary", "region", "pipeline"} <= set(names)
+    assert "viz" in generated_pages.rooms() and all(map(generated_pages._files, names))
     assert [name for name in ditr_lite.MODULES if name in names] == names
     assert set(names) | set(generated_pages.rooms()) == set(ditr_lite.MODULES)
+
+
+def test_the_cheat_sheet_names_what_the_code_has():
+    from ditr_lite.config import Config
+
+    text = (ROOT / "book" / "symbols.md").read_text(encoding="utf-8")
+    config = Config()
+    (height, width), cells = config.size, [side // 4 for side in config.size]
+    usual = {
+        "height and width of the picture, in pixels": f"{height}, {width}",
+        "height and width of the latent grid": f"{cells[0]}, {cells[1]}; in a window {config.window // 4}",
+        "channels of a latent": config.autoencoder.latent_channels,
+        "samples drawn for one frame": config.sampler.samples,
+        "diffusion steps": f"{config.schedule.timesteps:,}",
+        "entries of the codebook": f"{config.autoencoder.codes:,}",
+    }
+    for what, value in usual.items():
+        [line] = [line for line in text.splitlines() if f"| {what}" in line]
+        assert line.split("|")[3].strip().startswith(str(value)), line
+    code = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "ditr_lite").rglob("*.py"))
+    names = {name.split(".")[-1] for name in re.findall(r"`(?:out\.)?([a-z][a-z0-9_]+)`", text)}
+    assert len(names) > 30 and [name for name in names if not re.search(rf"\b{name}\b", code)] == []
 
 
 @pytest.mark.parametrize(
