@@ -4,7 +4,7 @@ Paper: Sec. III (calibration) and IV-C. The paper leaves open how raw depth reac
 inpainting's: the encoded known depth and a mask are concatenated to L_t, everything else enters through F(x).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -16,6 +16,7 @@ from torch import Tensor
 CHANNELS = ("red", "green", "blue", "boundary", "filled", "known", "region", "evidence", "trusted")  # of F(x)'s input
 SPREADS = (0.12, 0.6)  # least and largest half range of a frame, as a ratio of distances: exp(0.12) is 13 per cent
 STRAY_RATIO = 1.25  # a reading that differs from nearly all its neighbours by this factor belongs to no surface
+STRIP = 2**20  # pixels of a large map that are worked on at a time, so that no copy of the whole is needed
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,13 @@ class Bounds:
     def _logarithms(self):
         xp = torch if isinstance(self.low, Tensor) else np
         return xp.log(self.low), xp.log(self.high)
+
+
+def strips(shape: tuple[int, int]) -> Iterator[slice]:
+    """Yield slices of rows that together cover a map of ``shape`` (H, W), each of an even number, but for the last."""
+    rows = 2 * max(1, STRIP // (2 * max(1, shape[1])))
+    for start in range(0, shape[0], rows):
+        yield slice(start, min(start + rows, shape[0]))
 
 
 def depth_bounds(depth: np.ndarray, about: np.ndarray | None = None) -> Bounds:
@@ -97,6 +105,15 @@ def strays(depth: np.ndarray, window: int = 5) -> np.ndarray:
     Returns:
         (H, W) bool.
     """
+    half, found = window // 2, np.zeros(depth.shape, bool)
+    for rows in strips(depth.shape):
+        around = depth[max(rows.start - half, 0) : rows.stop + half]
+        first = rows.start - max(rows.start - half, 0)
+        found[rows] = _strays(around, window)[first : first + rows.stop - rows.start]
+    return found
+
+
+def _strays(depth: np.ndarray, window: int) -> np.ndarray:
     valid = depth > 0
     logs = np.log(np.where(valid, depth, 1.0)).astype(np.float32)
     padded = np.pad(np.where(valid, logs, np.nan), window // 2, constant_values=np.nan)
@@ -130,7 +147,7 @@ class Frame:
         if image.ndim == 3:
             method = cv2.INTER_AREA if self.height < self.source[0] else cv2.INTER_LINEAR
         kind = np.uint8 if image.dtype == bool else image.dtype
-        small = cv2.resize(image.astype(kind), (self.width, self.height), interpolation=method)
+        small = cv2.resize(image.astype(kind, copy=False), (self.width, self.height), interpolation=method)
         if image.ndim == 2 and np.issubdtype(image.dtype, np.floating):
             pool_readings(small, image)
         return np.pad(small, self.padding + ((0, 0),) * (image.ndim - 2)).astype(image.dtype)
@@ -165,13 +182,20 @@ class Frame:
         image = image[: self.height, : self.width]
         if image.dtype == bool:
             return cv2.resize(image.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
-        nearest = cv2.resize(image, size, interpolation=cv2.INTER_NEAREST)
         if size == (self.width, self.height):
-            return nearest
+            return image.copy()
         smooth = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
-        edge = np.abs(smooth - nearest) > 0.01 * np.abs(nearest)  # averaging over a jump would make flying pixels
-        np.copyto(smooth, nearest, where=edge)
+        columns = _nearest(size[0], self.width)
+        for rows in strips(self.source):
+            nearest = image[_nearest(size[1], self.height)[rows, None], columns]
+            edge = np.abs(smooth[rows] - nearest) > 0.01 * np.abs(nearest)  # averages over a jump: flying pixels
+            np.copyto(smooth[rows], nearest, where=edge)
         return smooth
+
+
+def _nearest(length: int, short: int) -> np.ndarray:
+    """Return which of ``short`` pixels each of ``length`` takes, as OpenCV's INTER_NEAREST does."""
+    return np.minimum(np.floor(np.arange(length) * (1 / (length / short))).astype(int), short - 1)
 
 
 def fit_frame(source: tuple[int, int], size: tuple[int, int]) -> Frame:
@@ -195,11 +219,22 @@ def fill(depth_n: Tensor, known: Tensor) -> Tensor:
     """
     if min(depth_n.shape[2:]) <= 1:
         return depth_n * known
-    share = F.avg_pool2d(known, 2, ceil_mode=True, count_include_pad=False)
-    mean = F.avg_pool2d(depth_n * known, 2, ceil_mode=True, count_include_pad=False) / share.clamp(min=1e-6)
+    mean, share = pool(depth_n, known)
     coarse = fill(mean, (share > 0).to(known.dtype))
     fine = F.interpolate(coarse, size=depth_n.shape[2:], mode="bilinear", align_corners=False)
     return torch.where(known > 0, depth_n, fine)
+
+
+def pool(depth_n: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    """Return means of known pixels over blocks of 2x2, and the share of known ones, both (B, 1, H/2, W/2) rounded up.
+
+    Args:
+        depth_n: (B, 1, H, W).
+        known: (B, 1, H, W) 0/1.
+    """
+    share = F.avg_pool2d(known, 2, ceil_mode=True, count_include_pad=False)
+    mean = F.avg_pool2d(depth_n * known, 2, ceil_mode=True, count_include_pad=False)
+    return mean / share.clamp(min=1e-6), share
 
 
 def pool_readings(small: np.ndarray, image: np.ndarray) -> None:
@@ -212,6 +247,15 @@ def pool_readings(small: np.ndarray, image: np.ndarray) -> None:
         return
     rows, columns = ((np.arange(n) + 0.5) * s for n, s in zip(image.shape, scale, strict=True))
     y, x = np.minimum(rows.astype(int), small.shape[0] - 1), np.minimum(columns.astype(int), small.shape[1] - 1)
+    few = max(1, STRIP * small.shape[0] // max(1, image.size))  # rows of cells at a time
+    for top in range(0, small.shape[0], few):
+        rows_here = slice(*np.searchsorted(y, (top, top + few)))
+        _pool_rows(small, image[rows_here], (y[rows_here], x), (rows[rows_here], columns))
+
+
+def _pool_rows(small: np.ndarray, image: np.ndarray, cells: tuple, places: tuple) -> None:
+    """Do :func:`pool_readings` for some rows of the image, all those of their cells."""
+    (y, x), (rows, columns) = cells, places
     wanted = (image > 0) & (small == 0)[y[:, None], x[None]]
     v, u = np.nonzero(wanted)
     if v.size == 0:
@@ -223,28 +267,51 @@ def pool_readings(small: np.ndarray, image: np.ndarray) -> None:
 
 def without_strays(depth: np.ndarray) -> np.ndarray:
     """Return depth (H, W) in metres as the networks see it: without its :func:`strays`, unless it has nothing else."""
-    left = np.where(strays(depth), 0, depth).astype(np.float32)
-    return left if left.any() else depth.astype(np.float32)
+    return np.where(seen(depth), depth, 0).astype(np.float32)
 
 
-def tie(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
-    """Draw a painting towards the readings around its holes: what they differ by is spread into the holes.
+def seen(depth: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool, the readings of depth (H, W) that the networks see: not :func:`strays`, unless all are."""
+    read = depth > 0
+    left = read & ~strays(depth)
+    return left if left.any() else read
 
-    The working size is smaller than a camera's picture; this gives a filled hole the level of its rim at full size.
-    By ratios, so that distance does not matter.
+
+def level(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> Tensor | None:
+    """Return how far the readings lie above a painting, filled where there is none.
+
+    The working size is smaller than a camera's picture: this gives a filled hole the level of its rim at full size, see
+    :func:`tie`. By ratios, so that distance does not matter.
 
     Args:
         painted: (H, W) metres, dense.
-        depth: (H, W) raw metres, 0 = missing.
-        region: (H, W) bool, whose readings do not count.
+        depth: (H, W) raw metres, 0 = missing; readings that are :func:`strays` do not count.
+        region: (H, W) bool, whose readings do not count either.
 
     Returns:
-        (H, W) float32 metres, equal to ``depth`` where a reading counts.
+        (1, 1, H/2, W/2) logarithm of the ratio, rounded up; None where no reading counts.
     """
-    known = (depth > 0) & ~region
-    difference = np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0))
-    maps = [torch.from_numpy(m.astype(np.float32))[None, None] for m in (difference, known)]
-    return (painted * np.exp(fill(*maps)[0, 0].numpy())).astype(np.float32)
+    known = seen(depth)
+    known &= ~region
+    if not known.any():
+        return None
+    pooled = []
+    for rows in strips(painted.shape):
+        maps = (_ratio(painted[rows], depth[rows], known[rows]), known[rows])
+        pooled.append(pool(*(torch.from_numpy(m.astype(np.float32))[None, None] for m in maps)))
+    mean, share = (torch.cat(parts, dim=2) for parts in zip(*pooled, strict=True))
+    return fill(mean, (share > 0).float())
+
+
+def tie(painted: np.ndarray, lift: Tensor, holes: np.ndarray) -> None:
+    """Raise a painting (H, W) in metres by ``lift``, its :func:`level`, in place, in its holes (H, W) bool."""
+    offset = F.interpolate(lift, size=painted.shape, mode="bilinear", align_corners=False)[0, 0].numpy()
+    for rows in strips(painted.shape):
+        np.multiply(painted[rows], np.exp(offset[rows]), out=painted[rows], where=holes[rows])
+
+
+def _ratio(painted: np.ndarray, depth: np.ndarray, known: np.ndarray) -> np.ndarray:
+    return np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0)).astype(np.float32)
 
 
 def depth_tensors(depth: np.ndarray, bounds: Bounds) -> tuple[Tensor, Tensor]:

@@ -8,6 +8,7 @@ MAX_DEPTH_M = 65.0  # 16-bit millimetres end at 65.535 m: readings beyond this a
 MIN_DEPTH_M = 0.01  # no depth camera reads nearer: where most readings are, the unit is wrong
 USUAL_M = (0.15, 5.0)  # where the median reading of an indoor frame lies; outside, a warning
 MILLIMETRES = 0.001  # metres per unit
+CHUNK = 2**20  # pixels that are worked on at a time: a large map is not held several times
 UNITS = (  # in the order in which they are proposed
     (MILLIMETRES, "millimetres"),
     (0.01, "centimetres"),
@@ -24,9 +25,17 @@ def clean_depth(depth: np.ndarray) -> np.ndarray:
     Masked pixels of a NumPy masked array are missing, too.
     """
     with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, that is missing
-        depth = np.array(np.ma.filled(depth, 0), dtype=np.float32)
-    depth[~(np.isfinite(depth) & (depth > 0) & (depth < MAX_DEPTH_M))] = 0
+        depth = np.array(np.ma.filled(depth, 0), dtype=np.float32, order="C")
+    flat = depth.reshape(-1)
+    for start in range(0, flat.size, CHUNK):
+        part = flat[start : start + CHUNK]
+        part[~(np.isfinite(part) & (part > 0) & (part < MAX_DEPTH_M))] = 0
     return depth
+
+
+def is_clean(depth: np.ndarray) -> bool:
+    """Return whether :func:`clean_depth` would change nothing of an array."""
+    return depth.dtype == np.float32 and all(((row >= 0) & (row < MAX_DEPTH_M)).all() for row in depth)
 
 
 def check_unit(name: str, depth: np.ndarray, scale: float = 1.0) -> None:
@@ -47,7 +56,7 @@ def check_unit(name: str, depth: np.ndarray, scale: float = 1.0) -> None:
     read = depth[np.isfinite(depth) & (depth > 0)]
     if not read.size:
         return
-    median = float(np.median(read))
+    median = float(np.median(read, overwrite_input=True))
     if MIN_DEPTH_M <= median < MAX_DEPTH_M:
         if not USUAL_M[0] <= median <= USUAL_M[1]:
             side = f"nearer than {USUAL_M[0]}" if median < USUAL_M[0] else f"farther than {USUAL_M[1]:g}"
@@ -62,8 +71,13 @@ def check_unit(name: str, depth: np.ndarray, scale: float = 1.0) -> None:
 
 def depth_to_png(depth_m: np.ndarray, depth_scale: float = MILLIMETRES) -> np.ndarray:
     """Return (H, W) uint16 of a depth map in metres, in units of ``depth_scale`` metres, 0 staying 0."""
-    units = np.asarray(depth_m, dtype=np.float64) / depth_scale
-    return np.clip(np.rint(units), 0, 65535).astype(np.uint16)
+    depth_m = np.ascontiguousarray(depth_m)
+    whole = np.empty(depth_m.shape, np.uint16)
+    flat, stored = depth_m.reshape(-1), whole.reshape(-1)
+    for start in range(0, flat.size, CHUNK):
+        units = flat[start : start + CHUNK].astype(np.float64) / depth_scale
+        stored[start : start + CHUNK] = np.clip(np.rint(units), 0, 65535)
+    return whole
 
 
 def upsample_sparse(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -91,7 +91,15 @@ def choose_windows(region: np.ndarray, most: int = MOST) -> list[tuple[Window, n
         else:
             boxes[home] = np.concatenate([np.minimum(boxes[home][:2], box[:2]), np.maximum(boxes[home][2:], box[2:])])
             members[home].append(blob)
-    return [(square(box, region.shape), np.isin(labels, blobs)) for box, blobs in zip(boxes, members, strict=True)]
+    return [(square(box, region.shape), _of(labels, box, blobs)) for box, blobs in zip(boxes, members, strict=True)]
+
+
+def _of(labels: np.ndarray, box: np.ndarray, blobs: list[int]) -> np.ndarray:
+    """Return (H, W) bool of some blobs; outside their box nothing is written, so that it takes no memory there."""
+    pixels = np.zeros(labels.shape, bool)
+    inner = np.s_[box[0] : box[2], box[1] : box[3]]
+    pixels[inner] = np.isin(labels[inner], blobs)
+    return pixels
 
 
 def _home(box: np.ndarray, boxes: list[np.ndarray], shape: tuple[int, int], full: bool) -> int | None:

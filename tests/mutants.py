@@ -491,13 +491,13 @@ FRAMES = [
         ("strays: all alike", "alike - 1 < 0.2 * read", "alike - 1 < 0 * read"),
         ("strays: judged by few", "valid & enough & (alike", "valid & (alike"),
         ("strays: a surface's edge", "alike - 1 < 0.2 * read", "alike - 1 < 0.8 * read"),
-        ("tie: by differences", "painted * np.exp(fill(", "painted + np.exp(fill("),
+        ("tie: by differences", "np.multiply(painted[rows], np.exp", "np.add(painted[rows], np.exp"),
         (
             "tie: upside down",
             "np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0))",
             "np.log(np.where(known, painted, 1.0) / np.where(known, depth, 1.0))",
         ),
-        ("tie: to the region, too", "known = (depth > 0) & ~region\n", "known = depth > 0\n"),
+        ("tie: to the region, too", "    known &= ~region\n", ""),
         (
             "evidence: a reading alone",
             "offset = (fill(depth_n, known + seen) - filled)",
@@ -592,8 +592,8 @@ INPUTS = [
     *family(
         "files of any camera",
         "files",
-        ("scale: of integers only", "metres = raw if scale == 1 else raw.astype(np.float64) * scale", "metres = raw"),
-        ("65535 is a distance", "np.where(raw == NO_READING, 0.0, raw.astype(np.float64) * scale)", "raw * scale"),
+        ("scale: of integers only", "if raw.dtype == np.float32 and scale == 1:", "if raw.dtype == np.float32:"),
+        ("65535 is a distance", "row[stored == NO_READING] = 0", "pass"),
         ("PNG: checksums are not read", 'zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big")', "False"),
         ("JPEG: the end is not looked for", 'data.rfind(b"\\xff\\xd9") < data.rfind(b"\\xff\\xda")', "False"),
         ("PNG out: always millimetres", "depth_to_png(depth_m, depth_scale))", "depth_to_png(depth_m))"),
