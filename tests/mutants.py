@@ -573,8 +573,8 @@ FRAMES = [
         ),
         (
             "every sample the same noise",
-            "noise = torch.randn(masked.shape, generator=generator)",
-            "noise = torch.randn(masked.shape, generator=generator)[:1].expand(masked.shape)",
+            "for start in noise.split(GROUP * views):",
+            "for start in noise[:1].expand(noise.shape).split(GROUP * views):",
         ),
     ),
     *family(
