@@ -27,3 +27,10 @@ def make_scenes(count: int, shape: tuple[int, int], seed: int = 0) -> Scenes:
         for maps in (gt, depth):
             maps[cup] -= 100
     return Scenes([f"made_{k}" for k in range(count)], rgb, depth, gt, material, instances)
+
+
+def table(seed=0, shape=(48, 64)):
+    """A table that slopes away from 0.5 to 0.9 m, with noise and a fifth of its readings missing."""
+    rng = np.random.default_rng(seed)
+    depth = np.linspace(0.9, 0.5, shape[0])[:, None] + 0.002 * rng.standard_normal(shape)
+    return np.where(rng.random(shape) < 0.2, 0, depth).astype(np.float32)

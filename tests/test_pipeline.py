@@ -3,13 +3,12 @@ import pytest
 import torch
 
 from ditr_lite import pipeline
-from ditr_lite.conditioning import fit_frame, level, tie
 from ditr_lite.config import RefineConfig, override, preset
 from ditr_lite.pipeline import Ditr, Layer, Painting, build, compose
 from ditr_lite.region import refine_region
 from ditr_lite.stage_two import BRANCHES, Plan
 from ditr_lite.store import load_parts, save_part
-from ditr_lite.windows import MOST
+from ditr_lite.windows import MOST, fit_frame, level, tie
 
 TINY = override(preset("tiny"), **{"sampler.steps": 2, "sampler.samples": 1})
 
@@ -398,7 +397,7 @@ def test_a_large_frame_is_worked_on_in_strips_with_the_same_bits(ditr, monkeypat
     depth[5:300:40, 7:400:50] = 30  # strays
     keys = ("depth", "std", "optical", "geometric", "boundary_da")
     whole = ditr(rgb, depth, region, samples=2)
-    monkeypatch.setattr("ditr_lite.conditioning.STRIP", strip)
+    monkeypatch.setattr("ditr_lite.units.STRIP", strip)
     parts = ditr(rgb, depth, region, samples=2)
     assert all(getattr(whole, key).tobytes() == getattr(parts, key).tobytes() for key in keys)
 

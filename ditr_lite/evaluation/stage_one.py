@@ -6,9 +6,9 @@ Paper: Sec. IV-B, "the misclassified pixels can greatly harm the performance of 
 import numpy as np
 
 from .. import metrics
-from ..conditioning import fit_frame
 from ..data import REFLECTIVE, TRANSPARENT, Sample
 from ..pipeline import Completion, Ditr
+from ..windows import fit_frame
 
 STAGE_ONE = ("iou", "miss_rate", "area_ratio")  # of every frame; PER_CLASS where the materials are known
 CLASSES = {"transparent": TRANSPARENT, "reflective": REFLECTIVE}

@@ -53,7 +53,7 @@ Times = dict[str, float]
 EDGE = 0.02  # a step of log depth between neighbours, 2 % of the depth, is an occlusion boundary
 
 
-def train_arm(
+def train_peers(
     arm: str,
     minutes: float,
     seed: int = 0,

@@ -15,8 +15,8 @@ import torch
 from torch import nn
 from tqdm.auto import tqdm
 
-from ..region import region_loss
 from .batches import frames_shuffled
+from .losses import region_loss
 from .recipes import CLASS_WEIGHTS, rng_of
 from .scenes import Scenes
 

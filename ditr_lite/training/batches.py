@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from ..boundary import M_DA, M_RGB, Backend, boundary_maps
-from ..conditioning import Bounds, depth_bounds, to_tensor, without_strays
+from ..conditioning import Bounds, depth_bounds, to_tensor
+from ..units import without_strays
 from .scenes import Pool, Scenes
 from .views import View, disturb, frame_view, window_view
 

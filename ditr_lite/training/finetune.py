@@ -28,11 +28,12 @@ from tqdm.auto import tqdm
 
 from ..boundary import get_backend
 from ..config import Config, RefineConfig
-from ..region import region_loss, region_probability
+from ..region import region_probability
 from ..schedule import make_schedule
 from ..stage_two import BRANCHES, Painter, Views, paint
 from .as_the_paper import descend, sgd
 from .batches import Batch, frames_shuffled
+from .losses import region_loss
 from .parts import painter_of
 from .recipes import CLASS_WEIGHTS, rng_of
 from .scenes import Scenes

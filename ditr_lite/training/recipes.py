@@ -12,16 +12,17 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from .. import diffusion
-from ..autoencoder import VQAutoencoder, autoencoder_loss
+from ..autoencoder import VQAutoencoder
 from ..boundary import Backend
 from ..conditioning import condition, fill
 from ..config import Config
 from ..detail import detail_input
-from ..region import ColourEncoder, region_loss
+from ..region import ColourEncoder
 from ..schedule import NoiseSchedule, make_schedule
 from ..stage_two import Painter, encode_picture
 from .batches import Batch, draw_frames, draw_windows
 from .loop import Recipe
+from .losses import autoencoder_loss, region_loss
 from .scenes import Pool
 
 CLASS_WEIGHTS = (0.4, 1.0, 1.0)  # background, transparent, reflective
@@ -85,7 +86,9 @@ def autoencoder_step(
         for batch in batches:
             for gt, known in zip(fill(batch.gt_n, batch.gt_known), batch.gt_known, strict=True):
                 side = min(crop, *gt.shape[1:])
-                y, x = (factor * int(rng.integers(0, (n - side) // factor + 1)) for n in gt.shape[1:])
+                height, width = gt.shape[1:]
+                y = factor * int(rng.integers(0, (height - side) // factor + 1))
+                x = factor * int(rng.integers(0, (width - side) // factor + 1))
                 crops.append((gt[:, y : y + side, x : x + side], known[:, y : y + side, x : x + side]))
         gt, known = (torch.stack(parts) for parts in zip(*crops, strict=True))  # (B, 1, crop, crop) each
         return autoencoder_loss(gt, model(cl(gt)), known)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from tqdm.auto import tqdm
 
-from ..conditioning import fit_frame
 from ..data import read_sample
+from ..windows import fit_frame
 
 MAPS = ("rgb", "depth", "depth_gt", "material", "instances")  # what every scene has
 

@@ -10,10 +10,10 @@ import torch.nn.functional as F
 from made_scenes import make_scenes
 
 from ditr_lite import diffusion
-from ditr_lite.autoencoder import VQAutoencoder, autoencoder_loss
+from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.conditioning import CHANNELS
 from ditr_lite.config import preset
-from ditr_lite.region import RegionNet, region_loss
+from ditr_lite.region import RegionNet
 from ditr_lite.schedule import make_schedule
 from ditr_lite.training.as_the_paper import (
     BASE_RATE,
@@ -31,6 +31,7 @@ from ditr_lite.training.as_the_paper import (
     train_region,
     trosnet_learning_rate,
 )
+from ditr_lite.training.losses import autoencoder_loss, region_loss
 from ditr_lite.unet import DenoisingUNet
 
 
