@@ -24,7 +24,14 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 BESIDE = {path.stem for folder in ("tests", "tools") for path in (ROOT / folder).glob("*.py")}  # on pytest's path
 CLOSED = ("exercises", "peers", "cli")  # rooms that no other place of the package imports, save __main__
 # Where the name that is imported is not the one that is installed; drjit comes with mitsuba, which pins it.
-DISTRIBUTIONS = {"PIL": "pillow", "cv2": "opencv-python-headless", "drjit": "mitsuba", "skimage": "scikit-image"}
+DISTRIBUTIONS = {
+    "PIL": "pillow",
+    "kubernetes_validate": "kubernetes-validate",
+    "yaml": "pyyaml",
+    "cv2": "opencv-python-headless",
+    "drjit": "mitsuba",
+    "skimage": "scikit-image",
+}
 
 
 def faults(check, paths):
@@ -315,7 +322,7 @@ def ranges():
     """Return {name: version range} of everything that environment.txt must pin."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    pinned = ("notebooks", "simulate", "sam", "book", "dev")
+    pinned = ("notebooks", "simulate", "sam", "logs", "book", "dev")
     declared = [*project["dependencies"], *(line for extra in pinned for line in extras[extra])]
     return {requirement.name: requirement.specifier for requirement in map(Requirement, declared)}
 
@@ -352,7 +359,7 @@ def test_every_third_party_import_is_declared():
 
 
 OPTIONAL = ("accelerate", "jupyterlab", "IPython", "ipywidgets", "plotly", "psutil", "diffusers", "transformers")
-OPTIONAL += ("mitsuba", "drjit", "pyrealsense2")
+OPTIONAL += ("mitsuba", "drjit", "pyrealsense2", "tensorboard")
 
 
 def without_extras(code):

@@ -15,7 +15,7 @@ CLASSES = {"transparent": TRANSPARENT, "reflective": REFLECTIVE}
 PER_CLASS = tuple(f"{figure}_{name}" for figure in ("iou", "recall") for name in CLASSES)
 
 
-def stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | None] | None:
+def score_stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | None] | None:
     """Return how well the region was found; None when it was given or is not known."""
     if out.probability is None or sample.region is None:
         return None

@@ -217,6 +217,26 @@ def outline(ax: Axes, mask: np.ndarray, colour: str = OKABE_ITO[0]) -> None:
         ax.axis(limits)
 
 
+def heat(
+    ax: Axes, values: np.ndarray, title: str = "", limits: tuple[float, float] | None = None, bar: bool = True
+) -> AxesImage:
+    """Draw numbers (H, W) without a unit, such as probabilities, dark to bright, with a colour bar.
+
+    Raises:
+        ValueError: when ``values`` is not (H, W).
+    """
+    values = np.asarray(values)
+    if values.ndim != 2:
+        raise ValueError(f"values should be (H, W), got {values.shape}")
+    low, high = limits or (None, None)
+    drawn = ax.imshow(values, cmap="cividis", vmin=low, vmax=high, interpolation="nearest")
+    _bare(ax, title)
+    if bar:
+        extend = "both" if limits else "neither"
+        ax.figure.colorbar(drawn, ax=ax, fraction=0.05, pad=0.02, extend=extend).ax.tick_params(labelsize=FONT)
+    return drawn
+
+
 def labels(ax: Axes, codes: np.ndarray, names: Mapping[int, str], title: str = "") -> AxesImage:
     """Draw whole-number codes (H, W) with a legend of those that occur and their pixel counts.
 
