@@ -95,8 +95,8 @@ def peers(result: dict) -> str:
         f"**Learned peers at equal training time.** One small network for one idea of each compared system, trained "
         f"on the same {scenes:,} scenes for {each:g} min of processor time, as were the networks of "
         f"*{peer_tables.EQUAL}*; all at a working size of {width} x {height} pixels, in the same windows, "
-        f"with the same pretrained colour. *{peer_tables.SHIPPED}* is the shipped system. RMSE in millimetres, composed with the "
-        "region that stage one predicts. Stage one, the autoencoder and the encoder of colour are the shipped ones "
+        f"with the same pretrained colour. *{peer_tables.SHIPPED}* is the shipped system. RMSE in millimetres, composed "
+        "with the region that stage one predicts. Stage one, the autoencoder and the encoder of colour are the shipped ones "
         "wherever they are used; their training is not counted.",
     ]
     for split, part in result["splits"].items():
