@@ -109,7 +109,7 @@ class PlainBlock(nn.Module):
         return F.relu(self.conv2(F.relu(self.conv1(x) + self.time(time)[:, :, None, None])))
 
 
-class ResidualBlock(PlainBlock):
+class NormalisedBlock(PlainBlock):
     """The same convolutions, normalised before (GroupNorm, SiLU) and added to their input: it trains faster."""
 
     def __init__(self, in_channels: int, channels: int, time_channels: int):
@@ -124,7 +124,7 @@ class ResidualBlock(PlainBlock):
 
 
 CROSS_ATTENTION = {"feature": CrossAttentionFeatureQuery, "latent": CrossAttentionLatentQuery}
-BLOCKS = {"residual": ResidualBlock, "plain": PlainBlock}
+BLOCKS = {"residual": NormalisedBlock, "plain": PlainBlock}
 
 
 class Level(nn.Module):

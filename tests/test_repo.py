@@ -184,6 +184,31 @@ def test_a_newcomer_meets_at_most_thirty_names():
     assert found == set(ditr_lite.MODULES) and len(ditr_lite.MODULES) == len(found) <= 30
 
 
+# What may stand in two files, and why.
+SHARED = {
+    "load": {"boundary/learned.py", "boundary/sam.py"},  # what every boundary backend offers
+    "add_arguments": {"cli/complete.py", "cli/simulate.py"},  # what every command offers
+    "run": {"cli/complete.py", "cli/simulate.py"},  # likewise
+}
+
+
+def namesakes(files):
+    """Return {name: files} of the public functions and classes that are defined at the top of more than one file."""
+    homes = {}
+    for file, source in files.items():
+        for node in ast.parse(source).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not is_private(node.name):
+                homes.setdefault(node.name, set()).add(file)
+    return {name: places for name, places in homes.items() if len(places) > 1}
+
+
+def test_a_public_name_means_one_thing():
+    twice = "def fit(): ...\nclass Plan: ..."
+    toy = {"a.py": twice, "b.py": "def fit(): ...\ndef _own(): ...", "c.py": "def _own(): ...\nx = 1"}
+    assert namesakes(toy) == {"fit": {"a.py", "b.py"}}
+    assert namesakes(SOURCES) == SHARED
+
+
 def test_no_tool_takes_a_private_name():
     tools = [p for p in PYTHON if ROOT / "tools" in p.parents]
     assert tools and faults(lambda path: private_uses(ast.parse(path.read_text(encoding="utf-8"))), tools) == {}

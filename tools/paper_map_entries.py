@@ -109,7 +109,7 @@ paper.audit.audit_table | paper/test_audit.py::test_the_worded_delta_is_refuted_
 results on STD
 
 T4 | done | 08_ablations | 2 · Climb the paper's ladder: BB, +DP, +RR
-studies.swaps.run | studies/test_swaps.py::test_regions_are_what_they_are_called
+studies.swaps.score_swaps | studies/test_swaps.py::test_regions_are_what_they_are_called
 ablation: backbone, depth partition, region refinement
 
 T5 | done | 07_metrics | 7 · Audit the paper's tables

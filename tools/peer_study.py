@@ -32,14 +32,14 @@ def main() -> None:
     for split in args.split:
         names = dl.list_samples(split)[: args.limit]
         frames = compare.frames_of(ditr, map(dl.load_sample, names), len(names))
-        scores = compare.score_rows(rows, frames, args.peers / "scores" / split, compare.rendered)
-        splits[split] = {**peer_tables.summarise(scores), "rmse_m": scores}
+        scores = compare.score_rows(rows, frames, args.peers / "scores" / split, compare.score_rendered)
+        splits[split] = {**peer_tables.summarise_peers(scores), "rmse_m": scores}
     report = {"settings": read_card(args.peers)["config"], "trained": compare.trained_notes(args.peers)}
     report["splits"] = splits
     if args.real:
         frames = compare.frames_of(ditr, compare.real_frames(args.real))
         blind = {name: row for name, row in rows.items() if name not in compare.NEED_TRUTH}
-        report["real"] = compare.score_rows(blind, frames, args.peers / "scores" / "real", compare.real)
+        report["real"] = compare.score_rows(blind, frames, args.peers / "scores" / "real", compare.score_real)
     print(peer_tables.format_study(report))
     top = results.head(results.tool_command("peer_study", sys.argv[1:]))
     results.write(args.json, top, report)

@@ -95,9 +95,9 @@ def peers(result: dict) -> str:
         f"**Learned peers at equal training time.** One small network for one idea of each compared system, trained "
         f"on the same {scenes:,} scenes for {each:g} min of processor time, as were the networks of "
         f"*{peer_tables.EQUAL}*; all at a working size of {width} x {height} pixels, in the same windows, "
-        f"with the same pretrained colour. *{peer_tables.SHIPPED}* is the shipped system. RMSE in millimetres, composed "
-        "with the region that stage one predicts. Stage one, the autoencoder and the encoder of colour are the shipped ones "
-        "wherever they are used; their training is not counted.",
+        f"with the same pretrained colour. *{peer_tables.SHIPPED}* is the shipped system. RMSE in millimetres, "
+        "composed with the region that stage one predicts. Stage one, the autoencoder and the encoder of colour are "
+        "the shipped ones wherever they are used; their training is not counted.",
     ]
     for split, part in result["splits"].items():
         lines += ["", *peer_table(part, split)]
@@ -121,7 +121,7 @@ def peer_table(part: dict, split: str) -> list[str]:
         cells = [f"{1000 * mean[name][k][0]:.1f}" for k in peer_tables.SETS]
         cells.append(format_interval(ratio[name]["optical"], 1, ".2f"))
         lines.append(f"| {name} | {peer_tables.IDEAS.get(name, '')} | " + " | ".join(cells) + " |")
-    lines += ["", peer_tables.verdict(part).replace("\n", ".\n") + ".", ""]
+    lines += ["", peer_tables.ratio_verdict(part).replace("\n", ".\n") + ".", ""]
     for before, step in peer_tables.LADDER:
         changes = [
             format_interval([100 * (v - 1) for v in r[step]["optical"]], 1, "+.0f") for r in part["ablation"].values()

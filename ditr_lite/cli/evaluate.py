@@ -123,7 +123,7 @@ class Bench:
         print(scoring.format_report(scoring.summary(results)))
         for name in own:
             print(against_best(results, name, tuple(REGISTRY)))
-        more = notes(source, options) | ({} if options.no_cost else {"cost": costs(options, ditr, frames[0])})
+        more = notes(source, options) | ({} if options.no_cost else {"cost": measure_costs(options, ditr, frames[0])})
         if options.json:
             written = scoring.to_json(results, command_line(options), options.weights, **more)
             write_json(options.json, written)
@@ -152,7 +152,7 @@ class BenchBoundary:
         frames = scenes_of(options.split, options.root, options.limit)
         tuning = scenes_of("train", options.root, None)
         results = boundary_scoring.bench(frames, tuning, options.tolerance, options.weights, options.sam)
-        print(boundary_scoring.format_table(results["summary"]))
+        print(boundary_scoring.format_scores(results["summary"]))
         if options.json:
             from ..files import write_json
 
@@ -313,7 +313,7 @@ def chosen_frames(options: Namespace) -> tuple[str, First]:
     return f"{options.dataset} in {options.root}{f', split {options.split}' if options.split else ''}", frames
 
 
-def costs(options: Namespace, ditr, sample) -> dict[str, Any]:
+def measure_costs(options: Namespace, ditr, sample) -> dict[str, Any]:
     """Measure and print time, memory and operations at both frame sizes, the yardstick and training speed."""
     from ..evaluation import timing
 
@@ -322,7 +322,7 @@ def costs(options: Namespace, ditr, sample) -> dict[str, Any]:
     print(f"\na product of two float32 matrices 2048 x 2048 takes {found['machine']['product_ms']:.0f} ms here")
     for frame in (sample, timing.enlarged(sample)):
         height, width = frame.depth.shape
-        rows = timing.measure(ditr, frame, runs, steps, samples)
+        rows = timing.time_stages(ditr, frame, runs, steps, samples)
         peaks = timing.stage_peaks(options.weights, frame, steps, samples)
         rows = [{**row, "peak_mb": peaks[row["stage"]]} for row in rows]
         found["frames"].append({"size": [height, width], "stages": rows})

@@ -113,7 +113,7 @@ def experiment(options: Namespace, settings: dict[str, str]) -> None:
     """Train the tiny preset as it is and with settings changed, score both on the same frames, and compare them."""
     from dataclasses import replace
 
-    from ..studies.experiment import QUICK, compare, format_comparison
+    from ..studies.experiment import QUICK, compare_settings, format_comparison
 
     if options.start:
         raise ValueError("a comparison trains both systems afresh: leave --start out, or train one --part with it")
@@ -124,7 +124,7 @@ def experiment(options: Namespace, settings: dict[str, str]) -> None:
     how = {name: getattr(options, name) for name in ("out", "work", "limit", "seed", "boundary")}
     how |= {name: (getattr(options, name) or [None])[0] for name in ("data", "val")}
     how = {name: value for name, value in how.items() if value is not None}
-    print(format_comparison(compare(settings, recipes=recipes, command=command_line(options), **how)))
+    print(format_comparison(compare_settings(settings, recipes=recipes, command=command_line(options), **how)))
 
 
 def add_recipe(p: ArgumentParser, steps: str) -> None:

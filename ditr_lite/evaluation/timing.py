@@ -50,7 +50,7 @@ REST = "the rest"  # Python itself, NumPy, arithmetic that is written as an oper
 
 
 @torch.no_grad()
-def measure(
+def time_stages(
     ditr: Ditr, sample: Sample, runs: int = MIN_RUNS, steps: int | None = None, samples: int | None = None
 ) -> list[dict[str, Any]]:
     """Time each stage on one frame and count its operations.

@@ -200,19 +200,19 @@ def score_rows(
     return scores
 
 
-def rendered(depth: np.ndarray, sample: Sample) -> Row:
+def score_rendered(depth: np.ndarray, sample: Sample) -> Row:
     """Return the RMSE in metres on each pixel set of a frame whose region is known."""
     found = metrics.evaluate(depth, sample.depth_gt, sample.region, sample.depth)
     return {key: found[key] and round(found[key]["rmse"], 6) for key in SETS}
 
 
-def real(depth: np.ndarray, sample: Sample) -> Row:
-    """Return the scores of a real frame: as :func:`rendered`, or without truth the share of pixels that moved.
+def score_real(depth: np.ndarray, sample: Sample) -> Row:
+    """Return the scores of a real frame: as :func:`score_rendered`, or without truth the share of pixels that moved.
 
     Pixels of the region, where it is known, may move.
     """
     if sample.depth_gt is not None:
-        return rendered(depth, sample)
+        return score_rendered(depth, sample)
     moved = (sample.depth > 0) & (np.abs(depth - sample.depth) > MOVED_M)
     if sample.region is not None:
         moved &= ~sample.region

@@ -250,7 +250,7 @@ def idea_step(
     def loss(step: int) -> dict[str, Tensor]:
         branch = BRANCHES[step % len(BRANCHES)]
         batch = recipes.branch_batch(branch, pool, config, RECIPE.batch, recipes.rng_of(seed, step), backend)
-        views, paint = views_of(branch, batch)
+        views, paint = shown_views(branch, batch)
         colour = []
         if encoder is not None:
             with torch.no_grad():
@@ -260,7 +260,7 @@ def idea_step(
     return loss
 
 
-def views_of(branch: str, batch: Batch) -> tuple[Views, Tensor]:
+def shown_views(branch: str, batch: Batch) -> tuple[Views, Tensor]:
     """Return what painters are shown of a batch, and where they must paint, (B, 1, H, W) 0/1."""
     guide = batch.guide_da if branch == "optical" else batch.guide_rgb
     paint = batch.region if branch == "optical" else (1 - batch.region) * (1 - batch.valid)
@@ -285,7 +285,7 @@ def single_step(
     def loss(step: int) -> dict[str, Tensor]:
         branch = BRANCHES[step % len(BRANCHES)] if windows else "geometric"
         batch = recipes.branch_batch(branch, pool, config, RECIPE.batch, recipes.rng_of(seed, step), backend)
-        views, paint = views_of(branch, batch)
+        views, paint = shown_views(branch, batch)
         nowhere = torch.zeros_like(batch.region)
         given = condition(views.rgb, views.depth_n, views.valid, nowhere, views.guide, evidence=False)
         where = paint if windows else torch.ones_like(paint)

@@ -98,7 +98,7 @@ def turned(points: np.ndarray) -> dict[str, Any]:
     return {"points": points, "square": 2.0, "ribs": (0, 0.0), "wall": 0.0, "segments": SEGMENTS[1]}
 
 
-def label(form: dict[str, Any], low: float, high: float) -> dict[str, Any]:
+def sleeve(form: dict[str, Any], low: float, high: float) -> dict[str, Any]:
     """Return a sleeve that hugs the body between two shares of its height."""
     heights = np.linspace(low, high, 12) - 0.5
     return {**form, "points": np.c_[radius_at(form, heights) * 1.012 + 0.002, heights], "wall": 0.0}

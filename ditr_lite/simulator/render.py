@@ -6,7 +6,7 @@ import numpy as np
 
 from ..camera import Camera
 from . import forms
-from .scenes import PRISMS, VESSELS, Scene, Thing, cross_section, outline
+from .scenes import PRISMS, VESSELS, Scene, Thing, cross_section, profile
 from .stereo import dot_pattern
 from .textures import environment, surrounding, texture
 
@@ -34,7 +34,7 @@ def mitsuba() -> Any:
     return mi
 
 
-def load(
+def build_scene(
     scene: Scene,
     projector_pose: np.ndarray | None = None,
     rng: np.random.Generator | None = None,
@@ -256,7 +256,7 @@ def triangles(family: str, solid: bool) -> tuple[np.ndarray, np.ndarray, np.ndar
         solid: give a vessel a wall with an inside instead of a single sheet.
     """
     if family in VESSELS or family in ("sphere", "ellipsoid"):
-        points = outline(family)
+        points = profile(family)
         if solid and family in VESSELS:
             wall = 0.035
             inner = np.stack(

@@ -51,7 +51,7 @@ LADDER = (("BB", "+DP"), ("+DP", "+RR"))
 Scores = Mapping[str, Mapping[str, Mapping[str, float | None]]]  # frame -> method -> pixel set -> RMSE in metres
 
 
-def summarise(scores: Scores) -> dict[str, Any]:
+def summarise_peers(scores: Scores) -> dict[str, Any]:
     """Return means, ratios and differences with 95 % intervals over frames.
 
     Args:
@@ -109,7 +109,7 @@ def best_peer(report: Mapping[str, Any], key: str = "optical") -> str:
     return min((n for n in IDEAS if n in mean and mean[n][key]), key=lambda n: mean[n][key][0])
 
 
-def verdict(report: Mapping[str, Any]) -> str:
+def ratio_verdict(report: Mapping[str, Any]) -> str:
     """Say where the paper's ratio to DFNet lies beside ours, of DITR at equal time to regression and to the best peer.
 
     Like is set beside like: *whole* beside the paper's overall, *optical* beside its optical ratio (:data:`PAPER`).
@@ -213,7 +213,7 @@ def format_study(report: Mapping[str, Any]) -> str:
     texts = []
     for split, part in report["splits"].items():
         texts.append(f"{split} split, {part['frames']} frames")
-        texts += [format_peers(part), verdict(part), format_ablation(part), format_oracles(part)]
+        texts += [format_peers(part), ratio_verdict(part), format_ablation(part), format_oracles(part)]
     if report.get("real"):
         texts.append(format_real(report["real"]))
     return "\n\n".join(texts)

@@ -98,7 +98,7 @@ def aspect(sample: Sample, ratio: float) -> Sample:
     return _each(sample, lambda a: np.ascontiguousarray(a[top : top + high, left : left + wide]))
 
 
-def levels(sample: Sample, count: float) -> Sample:
+def rounded(sample: Sample, count: float) -> Sample:
     """Round depth to ``count`` levels between its least and its largest reading, as an 8-bit picture (256) would."""
     read = sample.depth > 0
     low, high = float(sample.depth[read].min()), float(sample.depth[read].max())
@@ -116,11 +116,11 @@ CONDITIONS: dict[str, tuple[Condition, tuple[float, ...], float, str]] = {
     "object size": (object_size, (0.4, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0), 1.0, "size in the picture, times"),
     "distance": (distance, (0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0), 0.7, "median depth, m"),
     "aspect": (aspect, (0.5, 0.75, 4 / 3, 2.0, 3.0), 4 / 3, "width over height"),
-    "depth levels": (levels, (16, 32, 64, 128, 256, 65536), 65536, "levels of depth"),
+    "depth levels": (rounded, (16, 32, 64, 128, 256, 65536), 65536, "levels of depth"),
 }
 
 
-def run(
+def score_conditions(
     ditr: Ditr,
     samples: Sequence[Sample],
     conditions: Mapping[str, tuple] = CONDITIONS,
@@ -211,7 +211,7 @@ def _strays(sample: Sample, count: int, draw: Callable[[np.random.Generator], np
     return Disturbed(replace(sample, depth=depth), sample.region)
 
 
-def turned(sample: Sample, quarters: int) -> Disturbed:
+def quarter_turns(sample: Sample, quarters: int) -> Disturbed:
     """Turn everything by quarters of a full turn, as a camera mounted on its side or upside down does."""
     return Disturbed(_each(sample, lambda a: np.ascontiguousarray(np.rot90(a, quarters))), sample.region)
 
@@ -255,7 +255,7 @@ DISTURBANCES: dict[str, Callable[[Sample], Disturbed]] = {
     **{f"room at {metres} m": partial(room_behind, metres=metres) for metres in (2, 4, 10)},
     **{f"{count} far strays": partial(far_strays, count=count) for count in (10, 50, 250)},
     "50 near strays": partial(near_strays, count=50),
-    **{f"turned by {90 * k}": partial(turned, quarters=k) for k in (1, 2, 3)},
+    **{f"turned by {90 * k}": partial(quarter_turns, quarters=k) for k in (1, 2, 3)},
     **{f"distance x {factor}": partial(farther, factor=factor) for factor in (0.1, 3)},
     "300 readings": partial(few_readings, count=300),
     "16 scan lines": partial(scan_lines, count=16),

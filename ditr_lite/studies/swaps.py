@@ -126,7 +126,7 @@ class Swapped:
         return compose(depth, painting.optical, painting.geometric, region)
 
 
-def run(
+def score_swaps(
     ditr: Ditr,
     samples: Sequence[Sample],
     swaps: Mapping[str, Swap] = SWAPS,
@@ -154,7 +154,7 @@ def run(
     return rows
 
 
-def summary(rows: Rows, swaps: Mapping[str, Swap] = SWAPS) -> dict[str, Any]:
+def summarise_swaps(rows: Rows, swaps: Mapping[str, Swap] = SWAPS) -> dict[str, Any]:
     """Return per swap and pixel set the RMSE in metres and its paired difference to what it is compared with.
 
     Returns:

@@ -210,9 +210,9 @@ def save_panel(
     if region is not None:
         for ax in maps[1:]:
             outline(ax, region)
-    figure.draw_without_rendering()
+    figure.make_legible()
     extents = [ax.get_window_extent() for ax in maps]
     smallest = min(max(extent.width, extent.height) for extent in extents)
-    figure.set_dpi(figure.dpi * max(1.0, 1.01 * width / smallest))
+    figure.set_dpi(np.ceil(figure.dpi * max(1.0, 1.01 * width / smallest)))
     with written_whole(path) as part:
         part.write_bytes(figure.png())

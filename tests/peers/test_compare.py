@@ -33,7 +33,7 @@ def test_every_row_is_asked_about_every_frame_once(frames, tmp_path):
         return np.where(sample.depth_gt > 0, sample.depth_gt, 1)
 
     def score(key, some=frames):
-        return compare.score_rows({"truth, told": (truth, key)}, some, tmp_path, compare.rendered)
+        return compare.score_rows({"truth, told": (truth, key)}, some, tmp_path, compare.score_rendered)
 
     first = score("a", frames[:1])
     assert first[frames[0][0].name]["truth, told"]["optical"] == 0
@@ -72,8 +72,8 @@ def test_real_frames_come_from_a_file_of_the_readers_own(tmp_path):
     (sample,) = compare.real_frames(file)
     assert sample.name == "one" and sample.depth[0, 0] == 0 and sample.depth.dtype == np.float32
     depth = sample.depth + 0.05
-    assert compare.real(depth, sample)["moved"] == pytest.approx(56 / 64)  # the diagonal is region: it may move
-    assert compare.real(sample.depth, sample)["moved"] == 0
+    assert compare.score_real(depth, sample)["moved"] == pytest.approx(56 / 64)  # the diagonal is region: it may move
+    assert compare.score_real(sample.depth, sample)["moved"] == 0
     file.write_text("x = 1")
     with pytest.raises(ValueError, match="defines no frames"):
         compare.real_frames(file)

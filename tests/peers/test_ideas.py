@@ -7,7 +7,7 @@ from ditr_lite.conditioning import Bounds
 from ditr_lite.config import preset
 from ditr_lite.data import SAMPLES
 from ditr_lite.peers import ideas
-from ditr_lite.peers.train import views_of
+from ditr_lite.peers.train import shown_views
 from ditr_lite.training import recipes
 from ditr_lite.training.scenes import Pool, load_scenes
 
@@ -26,7 +26,7 @@ def batch(pool):
 
 @pytest.fixture(scope="module")
 def shown(batch):
-    return views_of("optical", batch)
+    return shown_views("optical", batch)
 
 
 def build(name, std=0.0):

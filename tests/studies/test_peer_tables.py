@@ -42,7 +42,7 @@ def scores():
 
 @pytest.fixture(scope="module")
 def report(scores):
-    return compare.summarise(scores)
+    return compare.summarise_peers(scores)
 
 
 def test_ratios_and_changes_are_those_of_the_means(report):
@@ -73,7 +73,7 @@ def test_errors_by_seed_leave_out_frames_without_such_pixels(report, scores):
 )
 def test_the_verdict_follows_the_interval(report, ratio, said):
     made = {**report, "ratio": {"regression": {"optical": ratio, "whole": (0.9, 0.7, 1.1)}}}
-    optical, whole, holes = compare.verdict(made).splitlines()
+    optical, whole, holes = compare.ratio_verdict(made).splitlines()
     lies = "above" if ratio[2] < 0.73 else "below" if ratio[1] > 0.74 else "inside"
     assert said in optical and optical.endswith(f"Table V, optical) lies {lies} our interval")
     assert whole.startswith("DITR's whole error") and whole.endswith(

@@ -166,7 +166,7 @@ def test_pictures_are_small_and_speak_for_themselves_in_a_notebook(sample):
     assert len(bundle["image/png"]) < 80_000
     assert bundle["text/plain"].startswith("<Picture: test_0001; raw, 24 px missing; method 0")
     image = cv2.imdecode(np.frombuffer(figure.png(), np.uint8), cv2.IMREAD_COLOR)
-    assert image.shape[1] == 960 and 150 < image.shape[0] < 700
+    assert image.shape[1] == int(panels.WIDTH_IN * panels.DPI) and 150 < image.shape[0] < 700
 
 
 def test_a_notebook_shows_the_small_picture_even_with_the_inline_backend(sample, monkeypatch):
