@@ -193,7 +193,7 @@ peers.ideas.SelfSupervised | peers/test_ideas.py::test_self_supervision_uses_no_
 SRD; the idea: depth from colour, taught and scaled by the readings outside the region
 
 C4 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
-evaluation.protocols.fitted | peers/test_networks.py::test_alignment_undoes_a_scale_and_a_shift
+evaluation.protocols.fitted | peers/test_system.py::test_an_alignment_is_another_reading_of_the_same_weights
 MiDaS; the idea: depth from colour up to scale and shift
 
 C5 | done | 04_ddpm_math | Who asks whom?

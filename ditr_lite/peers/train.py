@@ -67,7 +67,7 @@ def peer_config() -> Config:
     return replace(override(preset("lite"), **settings), name="peers")
 
 
-def train_arm(
+def train_peers(
     arm: str,
     minutes: float,
     seed: int,
@@ -162,11 +162,11 @@ def train_all(
         weights: folder that holds what the arms are given.
 
     Raises:
-        ValueError: as :func:`train_arm`, and for a folder without scenes.
+        ValueError: as :func:`train_peers`, and for a folder without scenes.
     """
     pool = Pool([load_scenes(folder, limit) for folder in data])
     for arm in arms:
-        train_arm(arm, minutes, 0, pool, out, work, config, weights)
+        train_peers(arm, minutes, 0, pool, out, work, config, weights)
     if held_out is None:
         return
     file = Path(out) / "validation.json"
@@ -177,7 +177,7 @@ def train_all(
     errors = json.loads(file.read_text(encoding="utf-8"))
     best = sorted(errors, key=errors.get)[:2]
     for arm in [arm for arm in arms if arm in (*TWICE, *best)]:
-        train_arm(arm, minutes, 1, pool, out, work, config, weights)
+        train_peers(arm, minutes, 1, pool, out, work, config, weights)
 
 
 def validate(ditr: system.Ditr, frames: Sequence[Sample]) -> float:

@@ -36,7 +36,7 @@ def timed(out, seconds_a_step=0.01):
 
 def run(arm, folder, weights, pool, minutes=1e-4, seconds_a_step=0.01):
     out = timed(folder / "out", seconds_a_step)
-    return pt.train_arm(arm, minutes, 0, pool, out, folder / "work", TINY, weights)
+    return pt.train_peers(arm, minutes, 0, pool, out, folder / "work", TINY, weights)
 
 
 def test_shares_of_an_arm_add_up_to_its_time():
@@ -78,7 +78,7 @@ def test_all_networks_are_timed_in_turn(tmp_path, pool):
 @pytest.mark.parametrize(("arm", "minutes", "reason"), [("oracle", 1, "unknown arm"), ("dp", 0, "positive number")])
 def test_bad_arguments_are_refused(arm, minutes, reason, tmp_path):
     with pytest.raises(ValueError, match=reason):
-        pt.train_arm(arm, minutes, 0, None, tmp_path, tmp_path)
+        pt.train_peers(arm, minutes, 0, None, tmp_path, tmp_path)
 
 
 def test_an_idea_is_shown_windows_and_frames_in_turn(pool):
