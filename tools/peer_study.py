@@ -25,6 +25,7 @@ def main() -> None:
     parser.add_argument("--peers", type=Path, default=Path("outputs/peers"))
     parser.add_argument("--real", type=Path, help="a Python file whose frames() yields real frames")
     parser.add_argument("--json", type=Path, default=peer_tables.RESULTS)
+    parser.add_argument("--pictures", type=Path, default=peer_tables.PICTURES, help="for each peer's worst completion")
     args = parser.parse_args()
     ditr = dl.Ditr.from_pretrained()
     rows = compare.methods(ditr, args.peers)
@@ -34,8 +35,11 @@ def main() -> None:
         frames = compare.frames_of(ditr, map(dl.load_sample, names), len(names))
         scores = compare.score_rows(rows, frames, args.peers / "scores" / split, compare.score_rendered)
         splits[split] = {**peer_tables.summarise_peers(scores), "rmse_m": scores}
+        if split == args.split[0]:
+            failures = peer_tables.failure_frames(splits[split])
+            compare.paint_failures(rows, frames, failures, args.pictures)
     report = {"settings": read_card(args.peers)["config"], "trained": compare.trained_notes(args.peers)}
-    report["splits"] = splits
+    report |= {"splits": splits, "failures": failures}
     if args.real:
         frames = compare.frames_of(ditr, compare.real_frames(args.real))
         blind = {name: row for name, row in rows.items() if name not in compare.NEED_TRUTH}

@@ -20,7 +20,7 @@ from ..baselines import REGISTRY
 from ..conditioning import fit_frame
 from ..config import RefineConfig
 from ..data import Sample
-from ..files import read_json, write_json
+from ..files import read_json, write_depth, write_json
 from ..pipeline import Ditr, compose
 from ..store import read_card
 from ..studies.floor import reconstruct
@@ -198,6 +198,19 @@ def score_rows(
         for frame, row in own.items():
             scores[frame][name] = row
     return scores
+
+
+def paint_failures(
+    rows: Mapping[str, tuple[Method, str]],
+    frames: Sequence[tuple[Sample, Found]],
+    failures: Mapping[str, str],
+    folder: Path | str,
+) -> None:
+    """Write what each peer completes of its worst frame (peer -> frame) as ``folder/PEER.png``, in millimetres."""
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    by_name = {sample.name: (sample, found) for sample, found in frames}
+    for peer, frame in failures.items():
+        write_depth(Path(folder) / f"{peer}.png", rows[peer][0](*by_name[frame]))
 
 
 def score_rendered(depth: np.ndarray, sample: Sample) -> Row:

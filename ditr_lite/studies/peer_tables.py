@@ -9,14 +9,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from ..baselines import REGISTRY
+from ..data import SAMPLES, Sample, load_sample
 from ..evaluation.statistics import bootstrap_mean, format_interval, interval, paired_bootstrap, ratio_bootstrap
+from ..files import read_depth
 from ..paper.tables import T1, T4, T5
 from ..store import WEIGHTS
 
 RESULTS = WEIGHTS / "results_peers.json"
+PICTURES = SAMPLES / "peers"  # what each peer painted where it failed most
 SETS = ("optical", "geometric", "whole")
 SHIPPED, EQUAL = "ditr", "ditr, equal time"
 ORACLES = {  # what is put in the place of one part of the shipped system
@@ -68,7 +72,8 @@ def summarise_peers(scores: Scores) -> dict[str, Any]:
     out: dict[str, Any] = {"frames": len(scores)}
     out["mean"] = {n: {k: interval(bootstrap_mean, column[n][k]) for k in SETS} for n in names}
     if EQUAL in names:
-        out["ratio"] = {n: {k: ratio_bootstrap(column[EQUAL][k], column[n][k]) for k in SETS} for n in names}
+        methods = [n for n in names if n not in (*ORACLES, *EQUAL_ORACLES)]  # an oracle may err nowhere
+        out["ratio"] = {n: {k: ratio_bootstrap(column[EQUAL][k], column[n][k]) for k in SETS} for n in methods}
     for key, against in (("minus_ditr", SHIPPED), ("minus_equal", EQUAL)):
         if against in names:
             out[key] = {n: {k: paired_bootstrap(column[n][k], column[against][k]) for k in SETS} for n in names}
@@ -205,6 +210,84 @@ def format_real(real: Mapping[str, Mapping[str, Mapping[str, float | None]]]) ->
         moved = [real[f][method]["moved"] for f in controls]
         cells.append(f"{100 * np.mean(moved):14.2f}" if moved else f"{'-':>14}")
         lines.append(method.ljust(36) + "".join(cells))
+    return "\n".join(lines)
+
+
+def failure_frames(part: Mapping[str, Any]) -> dict[str, str]:
+    """Return peer -> the frame of a split where its optical error exceeds that of DITR at equal time by most."""
+    found = {}
+    for peer in (n for n in IDEAS if n in part["mean"]):
+        gaps = {
+            frame: row[peer]["optical"] - row[EQUAL]["optical"]
+            for frame, row in part["rmse_m"].items()
+            if row[peer]["optical"] is not None
+        }
+        if gaps:
+            found[peer] = max(gaps, key=gaps.get)
+    return found
+
+
+def read_failures(report: Mapping[str, Any], folder: Path | str = PICTURES) -> list[tuple[str, Sample, np.ndarray]]:
+    """Return peer, frame and completed depth (H, W) in metres of each peer's worst frame beside DITR.
+
+    Raises:
+        ValueError: when a picture that the results name is not there.
+    """
+    return [
+        (peer, load_sample(frame), read_depth(Path(folder) / f"{peer}.png"))
+        for peer, frame in report["failures"].items()
+    ]
+
+
+def error_character(depth: np.ndarray, truth: np.ndarray, region: np.ndarray, border: int = 2) -> dict[str, float]:
+    """Say of what kind an error inside a region is.
+
+    Args:
+        depth: (H, W) completed, metres.
+        truth: (H, W) metres, 0 = unknown.
+        region: (H, W) bool.
+        border: width in pixels of what counts as near the region's outline.
+
+    Returns:
+        in metres: ``rmse``; ``offset``, the mean error, above 0 for too far; ``shape``, the RMSE without the offset;
+        ``outline``, the RMSE near the outline of the region (0 where nothing of it is known).
+
+    Raises:
+        ValueError: when no pixel of the region has a truth.
+    """
+    known = region & (truth > 0)
+    if not known.any():
+        raise ValueError("no pixel of the region has a true depth; choose another frame")
+    error = np.where(known, depth.astype(np.float64) - truth, 0)
+    inner = cv2.erode(region.astype(np.uint8), np.ones((2 * border + 1,) * 2, np.uint8)) > 0
+    near = known & ~inner
+    offset = float(error[known].mean())
+    return {
+        "rmse": float(np.sqrt((error[known] ** 2).mean())),
+        "offset": offset,
+        "shape": float(error[known].std()),
+        "outline": float(np.sqrt((error[near] ** 2).mean())) if near.any() else 0.0,
+    }
+
+
+def format_failures(failures: Sequence[tuple[str, Sample, np.ndarray]]) -> str:
+    """Return what kind of error each peer makes on its worst frame, mm, and what most of its error is, in words."""
+    heads = ("frame", "RMSE", "offset", "shape", "outline")
+    lines = ["mm".ljust(26) + heads[0].ljust(14) + "".join(h.rjust(9) for h in heads[1:])]
+    for peer, sample, depth in failures:
+        kind = error_character(depth, sample.depth_gt, sample.region)
+        cells = "".join(
+            f"{1000 * kind[k]:{'+' if k == 'offset' else ''}9.1f}" for k in ("rmse", "offset", "shape", "outline")
+        )
+        if abs(kind["offset"]) > kind["shape"]:
+            told = "the glass is too far as a whole" if kind["offset"] > 0 else "the glass is too near as a whole"
+        else:
+            told = (
+                "its shape is wrong, most of all at the outline"
+                if kind["outline"] > kind["rmse"]
+                else "its shape is wrong"
+            )
+        lines.append(peer.ljust(26) + sample.name.ljust(14) + cells + f"  {told}")
     return "\n".join(lines)
 
 

@@ -3,6 +3,8 @@ import json
 import numpy as np
 import pytest
 
+from ditr_lite.data import load_sample
+from ditr_lite.files import write_depth
 from ditr_lite.peers import system
 from ditr_lite.studies import peer_tables as compare
 
@@ -118,3 +120,30 @@ def test_real_frames_are_scored_by_truth_or_by_what_moved():
 def test_the_best_peer_is_a_peer(report):
     assert compare.best_peer(report) == "regression"
     assert compare.rows_of(report["mean"], "regression") == ["regression", "regression, seed 1"]
+
+
+def test_the_worst_frame_is_where_a_peer_loses_most_to_ditr(report, scores):
+    worse = {f: {**row, "regression": {**row["regression"]}} for f, row in scores.items()}
+    worse["f7"]["regression"]["optical"] = 9.0
+    assert compare.failure_frames({**report, "rmse_m": worse}) == {"regression": "f7"}
+
+
+def test_an_error_has_a_character():
+    truth, region = np.full((20, 20), 0.5), np.zeros((20, 20), bool)
+    region[4:16, 4:16] = True
+    far = compare.error_character(truth + 0.03, truth, region)
+    assert far["offset"] == pytest.approx(0.03) and far["shape"] == pytest.approx(0, abs=1e-9)
+    at_the_rim = truth.copy()
+    at_the_rim[4:6, 4:16] += 0.05
+    rim = compare.error_character(at_the_rim, truth, region)
+    assert rim["outline"] > rim["rmse"] > rim["offset"] > 0
+    with pytest.raises(ValueError, match="no pixel of the region has a true depth"):
+        compare.error_character(truth, 0 * truth, region)
+
+
+def test_failures_are_told_in_words(tmp_path):
+    sample = load_sample("val_00000")
+    write_depth(tmp_path / "regression.png", np.where(sample.depth_gt > 0, sample.depth_gt, 1) + 0.1 * sample.region)
+    failures = compare.read_failures({"failures": {"regression": "val_00000"}}, tmp_path)
+    told = compare.format_failures(failures)
+    assert "+100.0" in told and told.endswith("the glass is too far as a whole")
