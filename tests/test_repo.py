@@ -24,7 +24,14 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 BESIDE = {path.stem for folder in ("tests", "tools") for path in (ROOT / folder).glob("*.py")}  # on pytest's path
 CLOSED = ("exercises", "peers", "cli")  # rooms that no other place of the package imports, save __main__
 # Where the name that is imported is not the one that is installed; drjit comes with mitsuba, which pins it.
-DISTRIBUTIONS = {"PIL": "pillow", "cv2": "opencv-python-headless", "drjit": "mitsuba", "skimage": "scikit-image"}
+DISTRIBUTIONS = {
+    "PIL": "pillow",
+    "kubernetes_validate": "kubernetes-validate",
+    "yaml": "pyyaml",
+    "cv2": "opencv-python-headless",
+    "drjit": "mitsuba",
+    "skimage": "scikit-image",
+}
 
 
 def faults(check, paths):
@@ -209,6 +216,31 @@ def test_a_public_name_means_one_thing():
     assert namesakes(SOURCES) == SHARED
 
 
+# What a learner studies: the method, in the paper's order.
+STUDIED = ("conditioning.py", "region/", "boundary/maps.py", "autoencoder.py", "schedule.py", "diffusion.py", "unet.py")
+STUDIED += ("stage_two.py", "pipeline.py")
+COMPREHENSIONS = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
+
+
+def dense(source):
+    """Return the lines of ``source`` with an assignment inside an expression, or a comprehension in another one."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.NamedExpr):
+            found.add(node.lineno)
+        if isinstance(node, COMPREHENSIONS):
+            inner = [part for part in ast.walk(node) if part is not node and isinstance(part, COMPREHENSIONS)]
+            found |= {part.lineno for part in inner}
+    return sorted(found)
+
+
+def test_the_method_is_short_and_read_one_operation_at_a_time():
+    assert dense("a = [x for x in y]\nb = {k: [x for x in v] for k, v in c}\nif (d := a):\n    pass") == [2, 3]
+    studied = {file: source for file, source in SOURCES.items() if file.startswith(STUDIED)}
+    assert {file: dense(source) for file, source in studied.items()} == dict.fromkeys(studied, [])
+    assert len(studied) == 11 and sum(source.count("\n") for source in studied.values()) <= 2100
+
+
 def test_no_tool_takes_a_private_name():
     tools = [p for p in PYTHON if ROOT / "tools" in p.parents]
     assert tools and faults(lambda path: private_uses(ast.parse(path.read_text(encoding="utf-8"))), tools) == {}
@@ -290,7 +322,7 @@ def ranges():
     """Return {name: version range} of everything that environment.txt must pin."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    pinned = ("notebooks", "simulate", "sam", "book", "dev")
+    pinned = ("notebooks", "simulate", "sam", "logs", "book", "dev")
     declared = [*project["dependencies"], *(line for extra in pinned for line in extras[extra])]
     return {requirement.name: requirement.specifier for requirement in map(Requirement, declared)}
 
@@ -327,7 +359,7 @@ def test_every_third_party_import_is_declared():
 
 
 OPTIONAL = ("accelerate", "jupyterlab", "IPython", "ipywidgets", "plotly", "psutil", "diffusers", "transformers")
-OPTIONAL += ("mitsuba", "drjit", "pyrealsense2")
+OPTIONAL += ("mitsuba", "drjit", "pyrealsense2", "tensorboard")
 
 
 def without_extras(code):

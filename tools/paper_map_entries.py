@@ -116,7 +116,7 @@ T5 | done | 07_metrics | 7 · Audit the paper's tables
 paper.audit.rank_orders | paper/test_audit.py::test_six_orders_of_table_5
 error breakdown, geometric and optical
 
-T6 | done | 04_ddpm_math | What the paper's sizes cost
+T6 | done | 04_ddpm_math | Appendix · What the paper's sizes cost
 evaluation.costs.beside_table_vi | evaluation/test_costs.py::test_table_vi_cannot_hold
 latency and GFLOPs at 1280 × 720, per stage
 

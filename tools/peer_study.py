@@ -41,7 +41,7 @@ def main() -> None:
     report = {"settings": read_card(args.peers)["config"], "trained": compare.trained_notes(args.peers)}
     report |= {"splits": splits, "failures": failures}
     if args.real:
-        frames = compare.frames_of(ditr, compare.real_frames(args.real))
+        frames = compare.frames_of(ditr, compare.frames_of_file(args.real))
         blind = {name: row for name, row in rows.items() if name not in compare.NEED_TRUTH}
         report["real"] = compare.score_rows(blind, frames, args.peers / "scores" / "real", compare.score_real)
     print(peer_tables.format_study(report))

@@ -116,7 +116,7 @@ def peer_table(part: dict, split: str) -> list[str]:
         f"| {about} | idea | optical | geometric | whole | optical, DITR at equal time over it |",
         "|---|---|---:|---:|---:|---:|",
     ]
-    names = [peer_tables.SHIPPED, *peer_tables.rows_of(mean, peer_tables.EQUAL, *peer_tables.IDEAS)]
+    names = [peer_tables.SHIPPED, *peer_tables.with_seeds(mean, peer_tables.EQUAL, *peer_tables.IDEAS)]
     for name in names:
         cells = [f"{1000 * mean[name][k][0]:.1f}" for k in peer_tables.SETS]
         cells.append(format_interval(ratio[name]["optical"], 1, ".2f"))

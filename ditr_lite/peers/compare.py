@@ -17,7 +17,6 @@ from tqdm.auto import tqdm
 
 from .. import metrics
 from ..baselines import REGISTRY
-from ..conditioning import fit_frame
 from ..config import RefineConfig
 from ..data import Sample
 from ..files import read_json, write_depth, write_json
@@ -26,6 +25,7 @@ from ..store import read_card
 from ..studies.floor import reconstruct
 from ..studies.peer_tables import EQUAL, IDEAS, SETS, SHIPPED
 from ..studies.swaps import SWAPS, Swapped
+from ..windows import fit_frame
 from . import system
 
 NEED_TRUTH = (  # rows that cannot be asked about a frame without truth
@@ -124,6 +124,7 @@ def equal_oracles(folder: Path | str) -> dict[str, Method]:
     def size(sample: Sample, found: Found) -> np.ndarray:
         frame = fit_frame(sample.depth.shape, loaded().config.size)
         painted = frame.back(frame.into(sample.depth_gt))
+        painted = np.where(painted > 0, painted, 1.0)  # where no truth is known nothing is scored
         return compose(sample.depth, painted, painted, found.region)
 
     return {
@@ -232,7 +233,7 @@ def score_real(depth: np.ndarray, sample: Sample) -> Row:
     return {"moved": round(float(moved.mean()), 6)}
 
 
-def real_frames(file: Path | str) -> list[Sample]:
+def frames_of_file(file: Path | str) -> list[Sample]:
     """Return the frames that a Python file of the reader's own yields.
 
     Args:
@@ -244,8 +245,8 @@ def real_frames(file: Path | str) -> list[Sample]:
     """
     file = Path(file)
     if not file.is_file():
-        raise ValueError(f"{file}: no such file; it should define frames(), see peers.compare.real_frames")
-    spec = importlib.util.spec_from_file_location("real_frames", file)
+        raise ValueError(f"{file}: no such file; it should define frames(), see peers.compare.frames_of_file")
+    spec = importlib.util.spec_from_file_location("frames_of_file", file)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     if not callable(getattr(module, "frames", None)):

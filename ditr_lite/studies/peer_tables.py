@@ -145,14 +145,14 @@ def format_peers(report: Mapping[str, Any]) -> str:
     """Return the table of a split: RMSE in mm of DITR, peers and baselines, and DITR at equal time over each."""
     mean, ratio = report["mean"], report["ratio"]
     lines = ["RMSE mm, mean over frames".ljust(36) + "".join(k.rjust(11) for k in SETS) + "   optical, DITR : it"]
-    for name in (SHIPPED, *rows_of(mean, EQUAL, *IDEAS), *REGISTRY):
+    for name in (SHIPPED, *with_seeds(mean, EQUAL, *IDEAS), *REGISTRY):
         if name in mean:
             over = format_interval(ratio[name]["optical"], 1, ".2f")
             lines.append(name.ljust(36) + _cells(mean[name]) + f"   {over}")
     return "\n".join(lines)
 
 
-def rows_of(mean: Mapping[str, Any], *names: str) -> list[str]:
+def with_seeds(mean: Mapping[str, Any], *names: str) -> list[str]:
     """Return those of ``names`` that were scored, each followed by its further training seeds."""
     found = []
     for name in names:

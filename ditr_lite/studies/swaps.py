@@ -18,8 +18,9 @@ from ..config import RefineConfig
 from ..data import Sample
 from ..evaluation.statistics import bootstrap_mean, interval, paired_bootstrap
 from ..paper.tables import T1, T5
-from ..pipeline import Ditr, check_inputs, compose
+from ..pipeline import Ditr, compose
 from ..stage_two import BRANCHES, Plan
+from ..units import check_inputs
 
 SCORED = ("optical", "geometric", "outside", "whole")
 PARTS = ("geometric", "optical", "whole")  # Table V's two, and Table I's

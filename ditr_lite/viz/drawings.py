@@ -17,7 +17,7 @@ from .panels import DPI, GREY, OKABE_ITO, Picture
 __all__ = ["NOTEBOOKS", "autoencoder", "stage_one", "system", "unet"]
 
 WIDTH = 800  # pixels of a drawing
-LETTER = 12.0  # points: 13 pixels, and 12 in the book, whose column is 736 pixels wide
+LETTER = 13.1 * 72 / DPI  # points: 13 pixels, and 12 in the book, whose column is 736 pixels wide
 DATA, WORK, LIT, FAINT = "#FFFFFF", "#DCEBF5", "#FBD98C", "#BDBDBD"  # data, what computes, highlighted, left out
 INK, LINE = "#000000", "#4D4D4D"
 BLUE, ORANGE = OKABE_ITO[4], OKABE_ITO[5]

@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
+from matplotlib.ticker import MaxNLocator
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
@@ -37,7 +38,7 @@ BARS = {"depth": "depth (m)", "error": "|error| (mm)", "signed": "error (mm), + 
 
 
 class Picture(Figure):
-    """A matplotlib figure that a notebook shows as a small PNG (256 colours), without pyplot.
+    """A matplotlib figure that a notebook shows as a small PNG of few colours, without pyplot.
 
     It is never wider than a page shows, and as wide where several panels lie beside each other; none of its words is
     smaller than can be read there. What a caller asks for beyond that is brought within it before the figure is drawn,
@@ -54,13 +55,15 @@ class Picture(Figure):
         if width > WIDTH_IN:
             self.set_size_inches(WIDTH_IN, height)
         elif width < WIDTH_IN and self._columns() > 1:
-            self.set_size_inches(WIDTH_IN, height * WIDTH_IN / width)
+            self.set_size_inches(WIDTH_IN, height * (WIDTH_IN / width) ** 0.4)
         self._enlarge_type()
         self.draw_without_rendering()  # only now are all ticks there, and is the width of a panel known
         self._enlarge_type()
-        broken = [_break_lines(text, ax) for ax in self.axes for text in (ax.title, ax.xaxis.label)]
-        if any(broken):
+        changed = [_break_lines(text, ax) for ax in self.axes for text in (ax.title, ax.xaxis.label)]
+        changed += [_thin_ticks(ax) for ax in self.axes]
+        if any(changed):
             self.draw_without_rendering()  # two lines are laid out in the second draw
+            self._enlarge_type()
 
     def _columns(self) -> int:
         """Return how many panels lie beside each other, colour bars not counted."""
@@ -81,15 +84,16 @@ class Picture(Figure):
         self.make_legible()
         super().savefig(*args, **keywords)
 
-    def png(self) -> bytes:
-        """Return the figure as an indexed PNG, about a quarter of the full-colour one's size.
+    def png(self, colours: int = 112) -> bytes:
+        """Return the figure as an indexed PNG, about a sixth of the full-colour one's size.
 
-        Colours are chosen for coverage, not by frequency, so that a thin colour bar does not break into steps.
+        Colours, 256 at most, are chosen for coverage, not by frequency, so that a thin colour bar does not break into
+        steps.
         """
         self.make_legible()
         self.canvas.draw()
         image = Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3])
-        indexed = image.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
+        indexed = image.quantize(colours, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
         remarks = PngInfo()
         remarks.add_text(SMALLEST_TYPE, f"{self.smallest_type_px():.1f}")
         indexed.save(data := BytesIO(), "png", optimize=True, pnginfo=remarks)
@@ -112,6 +116,22 @@ def _break_lines(text: Text, ax: Axes) -> bool:
     lines = text.get_text().split("\n")
     letters = max(12, int(max(map(len, lines)) * given / needed))
     text.set_text("\n".join("\n".join(wrap(line, letters, break_long_words=False)) for line in lines))
+    return True
+
+
+def _thin_ticks(ax: Axes) -> bool:
+    """Halve the number of ticks along a panel whose numbers run into each other, or turn their names; say whether."""
+    low, high = sorted(ax.get_xlim())
+    ticks = [tick for tick in ax.xaxis.get_major_ticks() if low <= tick.get_loc() <= high and tick.label1.get_text()]
+    boxes = sorted((tick.label1.get_window_extent() for tick in ticks), key=lambda box: box.x0)
+    crowded = any(right.x0 - left.x1 < 2 for left, right in zip(boxes, boxes[1:], strict=False))
+    if not crowded:
+        return False
+    if isinstance(ax.xaxis.get_major_locator(), MaxNLocator):
+        ax.xaxis.get_major_locator().set_params(nbins=max(2, len(ticks) // 2))
+    else:
+        for tick in ticks:
+            tick.label1.set(rotation=25, horizontalalignment="right", rotation_mode="anchor")
     return True
 
 
@@ -195,6 +215,26 @@ def outline(ax: Axes, mask: np.ndarray, colour: str = OKABE_ITO[0]) -> None:
         limits = ax.axis()  # of the picture beneath, so that panels with and without an outline are alike
         ax.contour(np.pad(mask, 1), [0.5], colors=colour, linewidths=1.2, extent=_extent(mask.shape))
         ax.axis(limits)
+
+
+def heat(
+    ax: Axes, values: np.ndarray, title: str = "", limits: tuple[float, float] | None = None, bar: bool = True
+) -> AxesImage:
+    """Draw numbers (H, W) without a unit, such as probabilities, dark to bright, with a colour bar.
+
+    Raises:
+        ValueError: when ``values`` is not (H, W).
+    """
+    values = np.asarray(values)
+    if values.ndim != 2:
+        raise ValueError(f"values should be (H, W), got {values.shape}")
+    low, high = limits or (None, None)
+    drawn = ax.imshow(values, cmap="cividis", vmin=low, vmax=high, interpolation="nearest")
+    _bare(ax, title)
+    if bar:
+        extend = "both" if limits else "neither"
+        ax.figure.colorbar(drawn, ax=ax, fraction=0.05, pad=0.02, extend=extend).ax.tick_params(labelsize=FONT)
+    return drawn
 
 
 def labels(ax: Axes, codes: np.ndarray, names: Mapping[int, str], title: str = "") -> AxesImage:

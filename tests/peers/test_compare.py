@@ -69,13 +69,13 @@ def frames():
 def test_real_frames_come_from_a_file_of_the_readers_own(tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(FRAMES)
-    (sample,) = compare.real_frames(file)
+    (sample,) = compare.frames_of_file(file)
     assert sample.name == "one" and sample.depth[0, 0] == 0 and sample.depth.dtype == np.float32
     depth = sample.depth + 0.05
     assert compare.score_real(depth, sample)["moved"] == pytest.approx(56 / 64)  # the diagonal is region: it may move
     assert compare.score_real(sample.depth, sample)["moved"] == 0
     file.write_text("x = 1")
     with pytest.raises(ValueError, match="defines no frames"):
-        compare.real_frames(file)
+        compare.frames_of_file(file)
     with pytest.raises(ValueError, match="no such file"):
-        compare.real_frames(tmp_path / "absent.py")
+        compare.frames_of_file(tmp_path / "absent.py")

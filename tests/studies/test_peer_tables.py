@@ -119,7 +119,7 @@ def test_real_frames_are_scored_by_truth_or_by_what_moved():
 
 def test_the_best_peer_is_a_peer(report):
     assert compare.best_peer(report) == "regression"
-    assert compare.rows_of(report["mean"], "regression") == ["regression", "regression, seed 1"]
+    assert compare.with_seeds(report["mean"], "regression") == ["regression", "regression, seed 1"]
 
 
 def test_the_worst_frame_is_where_a_peer_loses_most_to_ditr(report, scores):

@@ -58,6 +58,27 @@ def test_titles_and_labels_of_neighbours_do_not_collide():
         assert "\n" in words[0].get_text()
 
 
+def test_numbers_along_a_panel_do_not_run_into_each_other():
+    figure = Picture(2.4, 2)
+    ax = figure.subplots()
+    ax.set(xlim=(-0.06, 0.16))
+    figure.make_legible()
+    low, high = ax.get_xlim()
+    labels = [tick.label1 for tick in ax.xaxis.get_major_ticks() if low <= tick.get_loc() <= high]
+    boxes = [label.get_window_extent() for label in labels]
+    assert len(boxes) > 1 and all(left.x1 < right.x0 for left, right in zip(boxes, boxes[1:], strict=False))
+
+
+def test_names_along_a_panel_are_turned_when_they_run_into_each_other():
+    figure = Picture(4, 2)
+    left, right = figure.subplots(1, 2)
+    left.set_xticks(range(9), ["a long name"] * 9)
+    right.set_xticks(range(5), list("abcde"))
+    figure.make_legible()
+    assert {tick.label1.get_rotation() for tick in left.xaxis.get_major_ticks()} == {25}
+    assert {tick.label1.get_rotation() for tick in right.xaxis.get_major_ticks()} == {0}
+
+
 def test_what_fits_and_what_is_a_formula_is_left_alone():
     figure = Picture(6, 3)
     ax = figure.subplots()
@@ -94,7 +115,7 @@ def test_several_panels_take_the_whole_width_and_one_what_it_asks_for():
         for ax in np.atleast_1d(figure.subplots(1, columns)):
             figure.colorbar(ax.imshow(np.zeros((3, 4))), ax=ax)
         figure.make_legible()
-    assert several.get_size_inches() == pytest.approx([panels.WIDTH_IN, 4])
+    assert several.get_size_inches() == pytest.approx([panels.WIDTH_IN, 2 * 2**0.4])
     assert one.get_size_inches() == pytest.approx([4.6, 2])
 
 
