@@ -207,7 +207,7 @@ def samples(arguments):
 
 
 def train(arguments):
-    """Train every part from the rendered scenes; replaces the shipped weights unless given --out FOLDER."""
+    """Train every part from the rendered scenes, into outputs/weights/lite or where --out says."""
     install(FULL)
     python("-m", "ditr_lite", "train", "--part", "all", *arguments)
 

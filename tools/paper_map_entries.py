@@ -80,8 +80,8 @@ S5 | done | 03_vq_autoencoder | 5 · Where the quantiser sits, and why diffusion
 autoencoder.VQAutoencoder | test_autoencoder.py::test_shapes_and_latents_before_quantisation
 autoencoder: no skip connections, scale 4 by two down- and two up-samplings, quantiser in the decoder
 
-S6 | done | 04_ddpm_math | The learning rate that the paper states
-training.as_the_paper.scaled_rate | training/test_as_the_paper.py::test_a_step_of_training_runs_at_the_papers_widths
+S6 | done | 10_training_at_scale | The paper's recipe is a configuration
+training.as_the_paper.paper_recipe | training/test_as_the_paper.py::test_stage_two_has_the_papers_batch_and_rate
 training of stage two: 1,000 diffusion steps, batch 64, learning rate 1e-6
 
 S7 | done | 04_ddpm_math | Level by level
