@@ -114,8 +114,8 @@ def train_denoiser(
     if not file.is_file():  # kept, so that a resumed run ends where it should
         few = Pool([first(group, TIMED_SCENES) for group in pool.groups])
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_json(file, time_step(variant_step(variant, painter, few, config, recipe, seed), net))
-    seconds = read_json(file)
+        write_json(file, {"seconds": time_step(variant_step(variant, painter, few, config, recipe, seed), net)})
+    seconds = read_json(file)["seconds"]
     steps = max(1, round(60 * minutes / seconds))
     recipe = replace(recipe, steps=steps, warmup=max(1, min(recipe.warmup, steps // 10)))
     step = variant_step(variant, painter, pool, config, recipe, seed)
@@ -195,7 +195,7 @@ def denoiser_errors(painter: Painter, config: Config, scenes: Scenes, steps: int
 
 
 def summarise_denoisers(errors: Mapping[str, Mapping[str, Sequence[float]]]) -> dict[str, Any]:
-    """Return variant -> how it was asked -> ``error`` and ``minus_default``, [mean, low, high] each, paired by scene."""
+    """Return variant -> how it was asked -> ``error``, ``minus_default``: [mean, low, high] each, paired by scene."""
     out: dict[str, Any] = {}
     for name, by_way in errors.items():
         out[name] = {}
