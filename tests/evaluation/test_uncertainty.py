@@ -104,3 +104,10 @@ def test_the_temperature_that_made_probabilities_overconfident_is_found(temperat
     assert un.fit_temperature(logs, true) == pytest.approx(temperature, rel=0.05)
     with pytest.raises(ValueError, match="at least 2 classes"):
         un.fit_temperature(logs[:1], true)
+
+
+@pytest.mark.parametrize(
+    ("expected", "real", "said"), [(0.01, 0.02, "too sure"), (0.02, 0.01, "too unsure"), (0.01, 0.012, "about right")]
+)
+def test_honesty_in_words(expected, real, said):
+    assert un.honesty(expected, real) == said
