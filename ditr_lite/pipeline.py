@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Real
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,40 +19,15 @@ from .boundary import M_D, M_DA, M_RGB, Backend, boundary_maps, get_backend, own
 from .conditioning import CHANNELS, Bounds, depth_bounds, depth_tensors, to_tensor
 from .config import Config, RefineConfig
 from .detail import DetailNet
-from .metrics import expected_error
 from .region import ColourEncoder, RegionNet, refine_region
 from .schedule import make_schedule
 from .stage_two import BRANCHES, Painter, Plan, Sampler, Views, paint
 from .store import load_parts
 from .unet import DenoisingUNet
-from .units import MAX_SEED, check_count, check_inputs, strips, without_strays
-from .windows import Frame, Window, choose_windows, fit_frame, level, tie
+from .units import MAX_SEED, check_count, check_inputs, without_strays
+from .windows import Found, Frame, Layer, OnDemand, Painting, Window, choose_windows, fit_frame, level
 
-
-class OnDemand:
-    """A map of a result: an array, or a call that makes it when it is first asked for.
-
-    Most callers want ``depth`` alone, and of a large frame each map takes hundreds of megabytes.
-    """
-
-    def __init__(self, *default: Any):
-        self.default = default
-
-    def __set_name__(self, owner: type, name: str):
-        self.name = name
-
-    def __get__(self, result: Any, owner: type | None = None) -> Any:
-        if result is None and not self.default:
-            raise AttributeError(self.name)  # for dataclass: there is no default
-        if result is None:
-            return self.default[0]
-        held = result.__dict__[self.name]
-        if callable(held):
-            held = result.__dict__[self.name] = held()
-        return held
-
-    def __set__(self, result: Any, value: Any):
-        result.__dict__[self.name] = value
+Maps = tuple[np.ndarray, ...]  # of one picture
 
 
 @dataclass(frozen=True)
@@ -121,127 +95,6 @@ def build(config: Config) -> nn.ModuleDict:
     return nn.ModuleDict(parts)
 
 
-@dataclass(frozen=True)
-class Layer:
-    """What a branch made of a view, at network size, and where that lies in the frame.
-
-    Attributes:
-        mean, spread: (h, w) float32 metres, over samples.
-        view: how the view, a window or the frame, lies in (h, w).
-        window: None for the frame.
-        pixels: (H, W) bool, what is painted of the frame in a window.
-    """
-
-    mean: np.ndarray
-    spread: np.ndarray
-    view: Frame
-    window: Window | None = None
-    pixels: np.ndarray | None = None
-
-    def onto(self, image: np.ndarray, what: str, region: np.ndarray | None = None) -> None:
-        """Paint ``what``, "mean" or "spread", onto a map (H, W) in place; of a whole frame ``region`` alone, if any."""
-        painted = self.view.back(getattr(self, what))
-        if self.window is None:
-            np.copyto(image, painted, where=True if region is None else region)
-        else:
-            self.window.paste(painted, image, self.pixels)
-
-
-@dataclass(frozen=True)
-class Painting:
-    """What stage two made of a frame, before composition; its maps are made from network size when asked for.
-
-    Attributes:
-        whole: the geometric branch's, of the frame.
-        close: the optical branch's.
-        level: of the readings over the geometric branch's painting, see :func:`conditioning.level`; None without any.
-        holes: (H, W) bool as bits, where there is no reading outside the region.
-        boundaries: M_RGB, M_D and M_DA of the frame, (h, w) bool.
-    """
-
-    whole: Layer
-    close: tuple[Layer, ...]
-    level: Tensor | None
-    holes: np.ndarray
-    boundaries: tuple[np.ndarray, ...]
-
-    @property
-    def windows(self) -> tuple[Window, ...]:
-        """Where the optical branch looked."""
-        return tuple(layer.window for layer in self.close if layer.window is not None)
-
-    @property
-    def geometric(self) -> np.ndarray:
-        """(H, W) float32 metres, painted over the whole frame; holes at the level of the readings around them.
-
-        Readings are not echoed: ``adjust`` asks for the painting.
-        """
-        view = self.whole.view
-        painted = view.back(self.whole.mean)
-        if self.level is not None:
-            tie(painted, self.level, np.unpackbits(self.holes, axis=1, count=view.source[1]).view(bool))
-        return painted
-
-    @property
-    def optical(self) -> np.ndarray:
-        """(H, W) float32 metres, painted in windows around the region; what the geometric branch painted elsewhere."""
-        image = self.geometric
-        for layer in self.close:
-            layer.onto(image, "mean")
-        return image
-
-    @property
-    def geometric_spread(self) -> np.ndarray:
-        """(H, W) float32 metres, standard deviation over samples."""
-        return self.whole.view.back(self.whole.spread)
-
-    @property
-    def optical_spread(self) -> np.ndarray:
-        """(H, W) float32 metres, likewise."""
-        image = self.geometric_spread
-        for layer in self.close:
-            layer.onto(image, "spread")
-        return image
-
-    def compose(self, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
-        """Return what :func:`compose` makes of this, (H, W) float32 metres, with fewer maps in memory at a time."""
-        out = self.geometric
-        for layer in self.close:
-            layer.onto(out, "mean", region)
-        np.copyto(out, depth, where=(depth > 0) & ~region)
-        return out
-
-    def spread(self, region: np.ndarray) -> np.ndarray:
-        """Return (H, W) float32 metres, the spread of the branch that paints each pixel."""
-        out = self.geometric_spread
-        for layer in self.close:
-            layer.onto(out, "spread", region)
-        return out
-
-
-@dataclass(frozen=True)
-class Found:
-    """What stage one says of a frame, at the working size.
-
-    Attributes:
-        frame: how the frame lies in (h, w).
-        probability: (h, w) float32.
-        classes: (h, w) uint8, 0 where nothing is claimed, else the likelier class.
-        region: (h, w) bool, refined.
-    """
-
-    frame: Frame
-    probability: np.ndarray
-    classes: np.ndarray
-    region: np.ndarray
-
-    def class_map(self) -> np.ndarray:
-        """Return the classes at the size of the frame, (H, W) uint8."""
-        codes = range(1, int(self.classes.max(initial=0)) + 1)
-        claims = (np.uint8(code) * self.frame.back(self.classes == code) for code in codes)
-        return sum(claims, np.zeros(self.frame.source, np.uint8))
-
-
 def own_sampler(sampler: Sampler) -> Sampler:
     """Return a caller's sampler with a ValueError for anything but finite latents of the shape that was asked for."""
 
@@ -257,18 +110,6 @@ def own_sampler(sampler: Sampler) -> Sampler:
         return drawn.float()
 
     return call
-
-
-def check_stage_one(threshold: float | None, refine: RefineConfig | None) -> None:
-    """Refuse what cannot be asked of stage one.
-
-    Raises:
-        ValueError: for a threshold that is no probability, or kernels of another kind.
-    """
-    if threshold is not None and not (isinstance(threshold, Real) and 0 < threshold < 1):
-        raise ValueError(f"threshold: expected a probability between 0 and 1, got {threshold!r}")
-    if refine is not None and not isinstance(refine, RefineConfig):
-        raise ValueError(f"refine: expected a config.RefineConfig, got {refine!r}")
 
 
 def _device(name: str | torch.device) -> torch.device:
@@ -380,7 +221,10 @@ class Ditr:
         samples = self.config.sampler.samples if samples is None else samples
         check_count("steps", steps, 1, self.config.schedule.timesteps)
         seed = check_count("seed", seed, 0, MAX_SEED)
-        check_stage_one(threshold, refine)
+        if threshold is not None and not (isinstance(threshold, Real) and 0 < threshold < 1):
+            raise ValueError(f"threshold: expected a probability between 0 and 1, got {threshold!r}")
+        if refine is not None and not isinstance(refine, RefineConfig):
+            raise ValueError(f"refine: expected a config.RefineConfig, got {refine!r}")
         rgb, depth, region = check_inputs(rgb, depth, region, samples)
         found = None
         if region is None:
@@ -393,7 +237,7 @@ class Ditr:
         return Completion(
             depth=mean,
             region=region,
-            std=self.stated(painting, mean, (kept > 0) & ~region, region, found),
+            std=painting.expected_error(mean, (kept > 0) & ~region, region, found, self.config.std),
             boundary_rgb=partial(back, painting.boundaries[M_RGB]),
             boundary_depth=partial(back, painting.boundaries[M_D]),
             boundary_da=partial(back, painting.boundaries[M_DA]),
@@ -404,31 +248,13 @@ class Ditr:
             classes=found and found.class_map,
         )
 
-    def stated(
-        self, painting: Painting, mean: np.ndarray, kept: np.ndarray, region: np.ndarray, found: Found | None
-    ) -> np.ndarray:
-        """Return :func:`expected_error` of a composed frame, (H, W) float32 metres."""
-        doubt = np.zeros_like(mean) if found is None else found.frame.back(found.probability)
-        out = painting.spread(region)
-        for rows in strips(mean.shape):
-            out[rows] = expected_error(*(m[rows] for m in (out, mean, kept, region, doubt)), self.config.std)
-        return out
-
     @torch.no_grad()
     def find_region(
-        self,
-        rgb: np.ndarray,
-        depth: np.ndarray,
-        threshold: float | None = None,
-        refine: RefineConfig | None = None,
+        self, rgb: np.ndarray, depth: np.ndarray, threshold: float | None = None, refine: RefineConfig | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Run stage one on a whole frame (Paper: Sec. IV-B).
 
-        Args:
-            rgb: (H, W, 3) uint8.
-            depth: (H, W) float32 metres, clean.
-            threshold: as in :meth:`__call__`.
-            refine: likewise.
+        Depth is clean; arguments are those of :meth:`__call__`.
 
         Returns:
             (H, W) float32 probability and (H, W) bool region, refined at the working size.
@@ -438,11 +264,7 @@ class Ditr:
 
     @torch.no_grad()
     def claim(
-        self,
-        rgb: np.ndarray,
-        depth: np.ndarray,
-        threshold: float | None = None,
-        refine: RefineConfig | None = None,
+        self, rgb: np.ndarray, depth: np.ndarray, threshold: float | None = None, refine: RefineConfig | None = None
     ) -> Found:
         """Return what stage one says of a frame, at the working size; arguments as for :meth:`find_region`."""
         frame, classes = self.classify(rgb, depth)
@@ -472,7 +294,7 @@ class Ditr:
         frame = fit_frame(depth.shape, self.config.size)
         return tuple(frame.back(m) for m in self.outlines(frame, frame.into(rgb), frame.into(depth)))
 
-    def outlines(self, frame: Frame, rgb: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...]:
+    def outlines(self, frame: Frame, rgb: np.ndarray, depth: np.ndarray) -> Maps:
         """Return M_RGB, M_D and M_DA, each (h, w) bool, of a frame at the working size, but not of its padding."""
         return frame.on_picture(boundary_maps, rgb, without_strays(depth), backend=self.backend)
 
@@ -521,12 +343,8 @@ class Ditr:
         return replace(painting, close=tuple(layers))
 
     def close_ups(
-        self,
-        rgb: np.ndarray,
-        depth: np.ndarray,
-        region: np.ndarray,
-        spare: np.ndarray | Callable[[], np.ndarray],
-    ) -> list[tuple[Window, np.ndarray, Frame, tuple[np.ndarray, ...]]]:
+        self, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray, spare: np.ndarray | Callable[[], np.ndarray]
+    ) -> list[tuple[Window, np.ndarray, Frame, Maps]]:
         """Return the windows of a region: each with the (H, W) bool pixels it paints, its frame and what it shows.
 
         What it shows are rgb, depth and region, as :meth:`inpaint` takes them, at the size that the networks see. A
@@ -543,11 +361,7 @@ class Ditr:
         return found
 
     def look(
-        self,
-        pictures: list[tuple[np.ndarray, ...]],
-        guide: int | None,
-        around: bool,
-        boundaries: list[tuple[np.ndarray, ...]] | None = None,
+        self, pictures: list[Maps], guide: int | None, around: bool, boundaries: list[Maps] | None = None
     ) -> tuple[Views, Bounds]:
         """Turn pictures at network size into what a branch is given.
 

@@ -8,6 +8,7 @@ is given squares twice as wide as what it must paint.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,6 +17,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .conditioning import fill, pool
+from .config import StdConfig
+from .metrics import expected_error
 from .units import seen, strips
 
 MARGIN = 2.0  # side of a window over the longer side of what it must hold
@@ -270,3 +273,168 @@ def _home(box: np.ndarray, boxes: list[np.ndarray], shape: tuple[int, int], full
         return None
     centres = np.array([(b[:2] + b[2:]) / 2 for b in boxes])
     return int(np.argmin(np.linalg.norm(centres - (box[:2] + box[2:]) / 2, axis=1)))
+
+
+class OnDemand:
+    """A map of a result: an array, or a call that makes it when it is first asked for.
+
+    Most callers want ``depth`` alone, and of a large frame each map takes hundreds of megabytes.
+    """
+
+    def __init__(self, *default: Any):
+        self.default = default
+
+    def __set_name__(self, owner: type, name: str):
+        self.name = name
+
+    def __get__(self, result: Any, owner: type | None = None) -> Any:
+        if result is None and not self.default:
+            raise AttributeError(self.name)  # for dataclass: there is no default
+        if result is None:
+            return self.default[0]
+        held = result.__dict__[self.name]
+        if callable(held):
+            held = result.__dict__[self.name] = held()
+        return held
+
+    def __set__(self, result: Any, value: Any):
+        result.__dict__[self.name] = value
+
+
+@dataclass(frozen=True)
+class Found:
+    """What stage one says of a frame, at the working size.
+
+    Attributes:
+        frame: how the frame lies in (h, w).
+        probability: (h, w) float32.
+        classes: (h, w) uint8, 0 where nothing is claimed, else the likelier class.
+        region: (h, w) bool, refined.
+    """
+
+    frame: Frame
+    probability: np.ndarray
+    classes: np.ndarray
+    region: np.ndarray
+
+    def class_map(self) -> np.ndarray:
+        """Return the classes at the size of the frame, (H, W) uint8."""
+        codes = range(1, int(self.classes.max(initial=0)) + 1)
+        claims = (np.uint8(code) * self.frame.back(self.classes == code) for code in codes)
+        return sum(claims, np.zeros(self.frame.source, np.uint8))
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What a branch made of a view, at network size, and where that lies in the frame.
+
+    Attributes:
+        mean, spread: (h, w) float32 metres, over samples.
+        view: how the view, a window or the frame, lies in (h, w).
+        window: None for the frame.
+        pixels: (H, W) bool, what is painted of the frame in a window.
+    """
+
+    mean: np.ndarray
+    spread: np.ndarray
+    view: Frame
+    window: Window | None = None
+    pixels: np.ndarray | None = None
+
+    def onto(self, image: np.ndarray, what: str, region: np.ndarray | None = None) -> None:
+        """Paint ``what``, "mean" or "spread", onto a map (H, W) in place; of a whole frame ``region`` alone, if any."""
+        painted = self.view.back(getattr(self, what))
+        if self.window is None:
+            np.copyto(image, painted, where=True if region is None else region)
+        else:
+            self.window.paste(painted, image, self.pixels)
+
+
+@dataclass(frozen=True)
+class Painting:
+    """What stage two made of a frame, before composition; its maps are made from network size when asked for.
+
+    Attributes:
+        whole: the geometric branch's, of the frame.
+        close: the optical branch's.
+        level: of the readings over the geometric branch's painting, see :func:`level`; None without any.
+        holes: (H, W) bool as bits, where there is no reading outside the region.
+        boundaries: M_RGB, M_D and M_DA of the frame, (h, w) bool.
+    """
+
+    whole: Layer
+    close: tuple[Layer, ...]
+    level: Tensor | None
+    holes: np.ndarray
+    boundaries: tuple[np.ndarray, ...]
+
+    @property
+    def windows(self) -> tuple[Window, ...]:
+        """Where the optical branch looked."""
+        return tuple(layer.window for layer in self.close if layer.window is not None)
+
+    @property
+    def geometric(self) -> np.ndarray:
+        """(H, W) float32 metres, painted over the whole frame; holes at the level of the readings around them.
+
+        Readings are not echoed: ``adjust`` asks for the painting.
+        """
+        view = self.whole.view
+        painted = view.back(self.whole.mean)
+        if self.level is not None:
+            tie(painted, self.level, np.unpackbits(self.holes, axis=1, count=view.source[1]).view(bool))
+        return painted
+
+    @property
+    def optical(self) -> np.ndarray:
+        """(H, W) float32 metres, painted in windows around the region; what the geometric branch painted elsewhere."""
+        image = self.geometric
+        for layer in self.close:
+            layer.onto(image, "mean")
+        return image
+
+    @property
+    def geometric_spread(self) -> np.ndarray:
+        """(H, W) float32 metres, standard deviation over samples."""
+        return self.whole.view.back(self.whole.spread)
+
+    @property
+    def optical_spread(self) -> np.ndarray:
+        """(H, W) float32 metres, likewise."""
+        image = self.geometric_spread
+        for layer in self.close:
+            layer.onto(image, "spread")
+        return image
+
+    def compose(self, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
+        """Return what ``pipeline.compose`` makes of this, (H, W) float32 metres, with fewer maps in memory."""
+        out = self.geometric
+        for layer in self.close:
+            layer.onto(out, "mean", region)
+        np.copyto(out, depth, where=(depth > 0) & ~region)
+        return out
+
+    def spread(self, region: np.ndarray) -> np.ndarray:
+        """Return (H, W) float32 metres, the spread of the branch that paints each pixel."""
+        out = self.geometric_spread
+        for layer in self.close:
+            layer.onto(out, "spread", region)
+        return out
+
+    def expected_error(
+        self, mean: np.ndarray, kept: np.ndarray, region: np.ndarray, found: Found | None, config: StdConfig
+    ) -> np.ndarray:
+        """Return ``metrics.expected_error`` of a composed frame, (H, W) float32 metres.
+
+        Args:
+            mean: (H, W) metres, as composed.
+            kept: (H, W) bool, readings that were not painted.
+            region: (H, W) bool.
+            found: what stage one says; None where the region was given, which leaves no doubt.
+            config: the constants.
+        """
+        doubt = np.zeros_like(mean) if found is None else found.frame.back(found.probability)
+        out = self.spread(region)
+        for rows in strips(mean.shape):
+            out[rows] = expected_error(*(m[rows] for m in (out, mean, kept, region, doubt)), config)
+        return out
