@@ -15,7 +15,7 @@ ARG TORCH_INDEX=https://download.pytorch.org/whl/cpu
 RUN useradd --create-home --uid 1000 learner
 WORKDIR /home/learner/ditr_lite
 RUN chown learner:learner .
-USER learner
+USER 1000
 ENV PATH=/home/learner/venv/bin:$PATH OMP_NUM_THREADS=2 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_CACHE_DIR=1
 
 # The packages before the code: a change of the code does not install them again.
@@ -26,7 +26,8 @@ RUN python -m venv /home/learner/venv \
     && pip install --no-compile -r /tmp/wanted.txt "setuptools>=77"
 
 COPY --chown=learner:learner . .
-RUN pip install --no-deps --no-build-isolation -e .
+RUN pip install --no-deps --no-build-isolation -e . \
+    && cp -r tools/labextensions /home/learner/venv/share/jupyter/
 
 EXPOSE 8888
 # 0.0.0.0 is inside the container; who may come in is said by -p. JupyterLab makes a token and prints it.

@@ -20,7 +20,7 @@ from ..pipeline import Completion, Ditr, compose
 from ..units import check_depth, clean_depth
 from .protocols import Protocol
 from .results import head
-from .stage_one import PER_CLASS, STAGE_ONE, stage_one
+from .stage_one import PER_CLASS, STAGE_ONE, score_stage_one
 from .statistics import bootstrap_mean, format_interval, interval, paired_bootstrap
 
 DITR, SENSOR = RESERVED = "ditr", "sensor"  # rows that are not methods
@@ -79,7 +79,7 @@ def run_methods(
         for name, depth in maps.items():
             result["methods"][name] = metrics.evaluate(depth, sample.depth_gt, sample.region, sample.depth)
         result["methods"][SENSOR] = score_sensor(sample)
-        result["stage_one"] = None if out is None else stage_one(out, sample, ditr)
+        result["stage_one"] = None if out is None else score_stage_one(out, sample, ditr)
         result["kept"] = out is None or kept_bit_for_bit(out, sample.depth)
         if protocol is not None:
             fed = replace(sample, depth=protocol.prepare(sample.depth))

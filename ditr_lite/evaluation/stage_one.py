@@ -15,7 +15,7 @@ CLASSES = {"transparent": TRANSPARENT, "reflective": REFLECTIVE}
 PER_CLASS = tuple(f"{figure}_{name}" for figure in ("iou", "recall") for name in CLASSES)
 
 
-def stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | None] | None:
+def score_stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | None] | None:
     """Return how well the region was found; None when it was given or is not known."""
     if out.probability is None or sample.region is None:
         return None
@@ -26,8 +26,8 @@ def stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | 
         "miss_rate": metrics.miss_rate(out.region, sample.region),
         "area_ratio": metrics.area_ratio(out.region, refined),
     }
-    if sample.material is not None:
-        scores |= class_scores(class_map(ditr, sample.rgb, sample.depth), sample.material)
+    if sample.material is not None and out.classes is not None:
+        scores |= class_scores(out.classes, sample.material)
     return scores
 
 
@@ -39,10 +39,7 @@ def class_map(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray) -> np.ndarray:
         rgb: (H, W, 3) uint8.
         depth: (H, W) float32 metres, raw.
     """
-    frame, classes = ditr.classify(rgb, depth)  # (3, h, w)
-    claimed = 1 - classes[0] > ditr.config.refine.threshold
-    found = np.where(claimed, 1 + classes[1:].argmax(axis=0), 0)
-    return sum(np.uint8(code) * frame.back(found == code) for code in CLASSES.values())
+    return ditr.claim(rgb, depth).class_map()
 
 
 def class_scores(found: np.ndarray, material: np.ndarray) -> dict[str, float | None]:

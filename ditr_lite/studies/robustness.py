@@ -68,10 +68,7 @@ def object_size(sample: Sample, zoom: float) -> Sample:
     """
     height, width = sample.depth.shape
     if zoom >= 1:
-        v, u = _centre(sample)
-        high, wide = round(height / zoom), round(width / zoom)
-        top, left = (int(np.clip(c - n / 2, 0, N - n)) for c, n, N in ((v, high, height), (u, wide, width)))
-        cut = np.s_[top : top + high, left : left + wide]
+        cut = _about_region(sample, round(height / zoom), round(width / zoom))
         return _each(sample, lambda a: _resize(a[cut], (height, width)))
     down, across = (round(n * (1 / zoom - 1) / 2) for n in (height, width))
     return _each(sample, lambda a: _resize(_mirror(a, down, down, across, across), (height, width)))
@@ -92,10 +89,9 @@ def distance(sample: Sample, median_m: float) -> Sample:
 def aspect(sample: Sample, ratio: float) -> Sample:
     """Make the picture ``ratio`` times as wide as high, by cutting it; below 1 it is portrait."""
     height, width = sample.depth.shape
-    v, u = _centre(sample)
     high, wide = (height, round(height * ratio)) if ratio * height <= width else (round(width / ratio), width)
-    top, left = (int(np.clip(c - n / 2, 0, N - n)) for c, n, N in ((v, high, height), (u, wide, width)))
-    return _each(sample, lambda a: np.ascontiguousarray(a[top : top + high, left : left + wide]))
+    cut = _about_region(sample, high, wide)
+    return _each(sample, lambda a: np.ascontiguousarray(a[cut]))
 
 
 def rounded(sample: Sample, count: float) -> Sample:
@@ -103,8 +99,8 @@ def rounded(sample: Sample, count: float) -> Sample:
     read = sample.depth > 0
     low, high = float(sample.depth[read].min()), float(sample.depth[read].max())
     step = max(high - low, 1e-6) / (count - 1)
-    rounded = low + np.rint((sample.depth - low) / step) * step
-    return replace(sample, depth=np.where(read, rounded, 0).astype(np.float32))
+    level = low + np.rint((sample.depth - low) / step) * step
+    return replace(sample, depth=np.where(read, level, 0).astype(np.float32))
 
 
 CONDITIONS: dict[str, tuple[Condition, tuple[float, ...], float, str]] = {
@@ -376,6 +372,15 @@ def format_disturbances(table: Mapping[str, Any]) -> str:
 def _rng(sample: Sample, stream: int) -> np.random.Generator:
     """Return a generator that depends on the frame's content alone, so that a run can be repeated."""
     return np.random.default_rng([stream, int(sample.rgb.sum()), int((sample.depth > 0).sum())])
+
+
+def _about_region(sample: Sample, high: int, wide: int) -> tuple[slice, slice]:
+    """Return where to cut (high, wide) pixels out of the picture: about its region, as far as the border lets them."""
+    height, width = sample.depth.shape
+    v, u = _centre(sample)
+    top = int(np.clip(v - high / 2, 0, height - high))
+    left = int(np.clip(u - wide / 2, 0, width - wide))
+    return np.s_[top : top + high, left : left + wide]
 
 
 def _centre(sample: Sample) -> tuple[float, float]:

@@ -14,14 +14,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.image import AxesImage
 
-from ..camera import unproject as point_cloud_points
 from ..data import Sample
 from ..files import written_whole
 from .panels import (
     BARS,
     ERROR_MM,
-    GREY,
-    OKABE_ITO,
     WIDTH_IN,
     Picture,
     add_bar,
@@ -30,35 +27,11 @@ from .panels import (
     depth_limits,
     difference_mm,
     error,
-    labels,
     outline,
-    point_cloud_side,
     rgb,
     signed_error,
     spread,
 )
-
-__all__ = [
-    "GREY",
-    "OKABE_ITO",
-    "Panel",
-    "Picture",
-    "compare",
-    "contact_sheet",
-    "depth",
-    "depth_limits",
-    "error",
-    "grid",
-    "labels",
-    "point_cloud_points",
-    "point_cloud_side",
-    "rgb",
-    "row",
-    "save_panel",
-    "signed_error",
-    "spread",
-]
-
 
 TALLEST_IN = 6.0  # a panel, however narrow its picture
 

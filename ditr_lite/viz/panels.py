@@ -29,9 +29,10 @@ from ..units import check_metres
 
 OKABE_ITO = ("#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#000000")
 GREY = "#9E9E9E"  # no value
-# The book shows 880 pixels across, JupyterLab on a laptop about as many. Type of 9.5 pt is 12.7 of them: it can be read
-# on a projector.
-WIDTH_IN, DPI, FONT = 9.2, 96, 9.5
+# The narrowest column of the book at a screen's size has 736 pixels: there, type of 9.9 pt in a figure of 800 pixels is
+# 12 pixels high and can be read on a projector.
+DPI, FONT = 96, 9.9
+WIDTH_IN = 800 / DPI
 SMALLEST_TYPE = "smallest type (px)"  # a remark in the PNG
 ERROR_MM = 50.0  # upper end of |error| where no row fixes it
 BARS = {"depth": "depth (m)", "error": "|error| (mm)", "signed": "error (mm), + is too far", "spread": "std (mm)"}
@@ -215,6 +216,26 @@ def outline(ax: Axes, mask: np.ndarray, colour: str = OKABE_ITO[0]) -> None:
         limits = ax.axis()  # of the picture beneath, so that panels with and without an outline are alike
         ax.contour(np.pad(mask, 1), [0.5], colors=colour, linewidths=1.2, extent=_extent(mask.shape))
         ax.axis(limits)
+
+
+def heat(
+    ax: Axes, values: np.ndarray, title: str = "", limits: tuple[float, float] | None = None, bar: bool = True
+) -> AxesImage:
+    """Draw numbers (H, W) without a unit, such as probabilities, dark to bright, with a colour bar.
+
+    Raises:
+        ValueError: when ``values`` is not (H, W).
+    """
+    values = np.asarray(values)
+    if values.ndim != 2:
+        raise ValueError(f"values should be (H, W), got {values.shape}")
+    low, high = limits or (None, None)
+    drawn = ax.imshow(values, cmap="cividis", vmin=low, vmax=high, interpolation="nearest")
+    _bare(ax, title)
+    if bar:
+        extend = "both" if limits else "neither"
+        ax.figure.colorbar(drawn, ax=ax, fraction=0.05, pad=0.02, extend=extend).ax.tick_params(labelsize=FONT)
+    return drawn
 
 
 def labels(ax: Axes, codes: np.ndarray, names: Mapping[int, str], title: str = "") -> AxesImage:

@@ -106,6 +106,16 @@ def test_no_legend_lies_on_the_picture_that_it_explains(sample):
         assert 0 <= box.y0 and box.y1 <= picture.y0 + 1  # inside the figure, below the picture
 
 
+def test_numbers_without_a_unit_are_drawn_as_they_are(ax):
+    values = np.linspace(-0.5, 1.5, 12).reshape(3, 4)
+    drawn = viz.heat(ax, values, "belief", (0, 1))
+    np.testing.assert_array_equal(drawn.get_array(), values)
+    assert drawn.get_clim() == (0, 1) and ax.get_title() == "belief" and len(ax.figure.axes) == 2
+    assert viz.heat(ax, values, bar=False).get_clim() == (-0.5, 1.5) and len(ax.figure.axes) == 2
+    with pytest.raises(ValueError, match=r"should be \(H, W\), got \(2, 3, 4\)"):
+        viz.heat(ax, np.zeros((2, 3, 4)))
+
+
 def test_labels_count_what_occurs(ax):
     codes = np.zeros(SHAPE, np.uint8)
     codes[0, :5], codes[1, :3] = 2, 255
