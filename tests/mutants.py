@@ -372,11 +372,15 @@ PARTITION = [
 REGION = [
     *family(
         "learning rates (S3)",
-        "training/as_the_paper",
+        "training/loop",
         ("cosine: whole period", "math.cos(math.pi * p)", "math.cos(2 * math.pi * p)"),
         ("cosine: not halved", "(1 + math.cos(math.pi * p)) / 2", "(1 + math.cos(math.pi * p))"),
         ("exponential: rises", "math.exp(-fall * p)", "math.exp(fall * p)"),
         ("exponential: dropped", " * math.exp(-fall * p)", ""),
+    ),
+    *family(
+        "learning rates (S3)",
+        "training/as_the_paper",
         ("TROSNet: sign of the fall", "0.001 - 0.0004 * fallen", "0.001 + 0.0004 * fallen"),
         ("TROSNet: period", "iteration / 228", "iteration / 150"),
         ("deep supervision of nothing", "drawn.material, weight)", "0 * drawn.material, weight)"),
@@ -399,7 +403,7 @@ REGION = [
         ),
         ("RMSE: not in metres", "(depth_m - batch.truth_m)", "(depth_m - batch.gt_n)"),
         ("RMSE: unknown truth scored", ".square() * batch.gt_known", ".square()"),
-        ("weight dropped", "total = segmentation + rmse_weight * rmse", "total = segmentation + rmse"),
+        ("weight dropped", "segmentation + rmse_weight * rmse,", "segmentation + rmse,"),
         ("painted for the found region alone", "torch.maximum(hard, batch.region)", "hard"),
         ("branches swapped", "return drawn[0], drawn[1]", "return drawn[1], drawn[0]"),
     ),
@@ -635,6 +639,36 @@ INPUTS = [
             "metrics.iou(out.probability > ditr.config.refine.threshold, sample.region)",
             "metrics.iou(out.region, sample.region)",
         ),
+    ),
+    *family(
+        "sensors' noise and dropouts",
+        "simulator/tof",
+        ("noise: falls as the light", "/ np.sqrt(np.maximum(amplitude, settings.floor))", "/ amplitude"),
+        ("noise: no floor", "np.sqrt(np.maximum(amplitude, settings.floor))", "np.sqrt(amplitude)"),
+        ("noise: grows with the light", "/ np.sqrt(np.maximum(amplitude, settings.floor))", "* np.sqrt(amplitude)"),
+    ),
+    *family(
+        "sensors' noise and dropouts",
+        "simulator/stereo",
+        ("jump: another share", "> 0.04 * np.maximum(depth, 0.2)", "> 0.05 * np.maximum(depth, 0.2)"),
+        ("jump: of the depth, however near", "> 0.04 * np.maximum(depth, 0.2)", "> 0.04 * depth"),
+        ("jump: in metres", "> 0.04 * np.maximum(depth, 0.2)", "> 0.04"),
+    ),
+    *family(
+        "calibration",
+        "evaluation/uncertainty",
+        ("fitted on a test split", "if name in HELD_OUT", "if name not in splits"),
+        ("geometric: kept readings, too", '"geometric": ~region & ~read', '"geometric": ~region'),
+        ("kept: what was painted, too", "KEPT: ~region & read", "KEPT: read"),
+    ),
+    *family(
+        "a frame's way back",
+        "windows",
+        ("spread: of the geometric branch", 'layer.onto(out, "spread", region)', "pass"),
+        ("composed: readings lost", "np.copyto(out, depth, where=(depth > 0) & ~region)", "pass"),
+        ("composed: readings of the region, too", "where=(depth > 0) & ~region)", "where=depth > 0)"),
+        ("holes: everything is raised", "out=painted[rows], where=holes[rows])", "out=painted[rows])"),
+        ("rows of cells are mixed", "np.searchsorted(y, (cells.start, cells.stop))", "(cells.start, cells.stop)"),
     ),
 ]
 MUTANTS: list[Mutant] = [
