@@ -95,11 +95,17 @@ def fill(depth_n: Tensor, known: Tensor) -> Tensor:
     """
     if min(depth_n.shape[2:]) <= 1:
         return depth_n * known
-    share = F.avg_pool2d(known, 2, ceil_mode=True, count_include_pad=False)
-    mean = F.avg_pool2d(depth_n * known, 2, ceil_mode=True, count_include_pad=False) / share.clamp(min=1e-6)
+    mean, share = pool(depth_n, known)
     coarse = fill(mean, (share > 0).to(known.dtype))
     fine = F.interpolate(coarse, size=depth_n.shape[2:], mode="bilinear", align_corners=False)
     return torch.where(known > 0, depth_n, fine)
+
+
+def pool(depth_n: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    """Return means of known pixels of blocks of 2x2, and the share of known ones, (B, 1, H/2, W/2) each, rounded up."""
+    share = F.avg_pool2d(known, 2, ceil_mode=True, count_include_pad=False)
+    mean = F.avg_pool2d(depth_n * known, 2, ceil_mode=True, count_include_pad=False)
+    return mean / share.clamp(min=1e-6), share
 
 
 def depth_tensors(depth: np.ndarray, bounds: Bounds) -> tuple[Tensor, Tensor]:

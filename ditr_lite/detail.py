@@ -77,15 +77,10 @@ class DetailNet(nn.Module):
         ``x`` (B, 9, H, W) is as in :meth:`forward`. Of S samples, one batch after the other, residual, trust and
         affinities are shared: the network, the costly part, runs once.
         """
-        samples = len(decoded) // len(x)
         residual, trust, affinities = self.predict(x)
         held = (x[:, 2:4] * trust).sum(dim=1, keepdim=True)  # (B, 2, H, W) -> (B, 1, H, W): a pixel is in one of both
-        return propagate(
-            decoded + residual.repeat(samples, 1, 1, 1),
-            x[:, 1:2].repeat(samples, 1, 1, 1),
-            held.repeat(samples, 1, 1, 1),
-            [a.repeat(samples, 1, 1, 1) for a in affinities],
-        )
+        samples = decoded.split(len(x))  # one at a time: each takes the memory of all nine affinities
+        return torch.cat([propagate(one + residual, x[:, 1:2], held, affinities) for one in samples])
 
     def predict(self, x: Tensor) -> tuple[Tensor, Tensor, list[Tensor]]:
         """Return the residual (B, 1, H, W), the trust in readings (B, 2, H, W) and, per dilation, affinities.

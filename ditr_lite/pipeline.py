@@ -3,7 +3,9 @@
 Paper: Sec. IV-A and Fig. 5; Eq. 3, ``D_out = DITR(D_in given X)``.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ from . import diffusion
 from .autoencoder import VQAutoencoder
 from .boundary import M_D, M_DA, M_RGB, Backend, boundary_maps, get_backend, own_backend
 from .conditioning import CHANNELS, Bounds, depth_bounds, depth_tensors, to_tensor
-from .config import Config, RefineConfig
+from .config import Config, RefineConfig, check_stage_one
 from .detail import DetailNet
 from .metrics import expected_error
 from .region import ColourEncoder, RegionNet, refine_region
@@ -22,35 +24,8 @@ from .schedule import make_schedule
 from .stage_two import BRANCHES, Painter, Plan, Sampler, Views, paint
 from .store import load_parts
 from .unet import DenoisingUNet
-from .units import MAX_SEED, check_count, check_inputs, without_strays
-from .windows import Frame, Window, choose_windows, fit_frame, tie
-
-
-@dataclass(frozen=True)
-class Completion:
-    """What :class:`pipeline.Ditr` returns; all maps have the size of the input.
-
-    Attributes:
-        depth: (H, W) float32 metres, dense.
-        region: (H, W) bool, after refinement (the caller's, if one was given).
-        std: (H, W) float32 metres, the error to expect (one standard deviation), see ``metrics.expected_error``.
-        boundary_rgb, boundary_depth, boundary_da: (H, W) bool, M_RGB, M_D and M_DA.
-        probability: (H, W) float32, stage one's belief before threshold and refinement; None for a given region.
-        optical, geometric: (H, W) float32 metres, each branch's own repainting before composition; the optical branch
-            paints its windows only and shows the geometric one's elsewhere.
-        windows: where the optical branch looked.
-    """
-
-    depth: np.ndarray
-    region: np.ndarray
-    std: np.ndarray
-    boundary_rgb: np.ndarray
-    boundary_depth: np.ndarray
-    boundary_da: np.ndarray
-    probability: np.ndarray | None
-    optical: np.ndarray
-    geometric: np.ndarray
-    windows: tuple[Window, ...]
+from .units import MAX_SEED, check_count, check_inputs, strips, without_strays
+from .windows import Claim, Completion, Frame, Layer, Painting, Window, choose_windows, fit_frame, level
 
 
 def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, region: np.ndarray) -> np.ndarray:
@@ -65,7 +40,9 @@ def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, regio
         geometric: (H, W) float32 metres, dense.
         region: (H, W) bool.
     """
-    return np.where(region, optical, np.where(depth > 0, depth, geometric)).astype(np.float32)
+    out = np.where(depth > 0, depth, geometric).astype(np.float32, copy=False)
+    np.copyto(out, optical, where=region, casting="same_kind")
+    return out
 
 
 def build(config: Config) -> nn.ModuleDict:
@@ -84,24 +61,6 @@ def build(config: Config) -> nn.ModuleDict:
     return nn.ModuleDict(parts)
 
 
-@dataclass(frozen=True)
-class Painting:
-    """What stage two made of a frame, before composition; all maps are (H, W) float32 metres.
-
-    Attributes:
-        optical: painted in windows around the region; what the geometric branch painted elsewhere.
-        geometric: painted over the whole frame; holes at the level of the readings around them.
-        optical_spread, geometric_spread: standard deviation over samples.
-        windows: where the optical branch looked.
-    """
-
-    optical: np.ndarray
-    geometric: np.ndarray
-    optical_spread: np.ndarray
-    geometric_spread: np.ndarray
-    windows: tuple[Window, ...]
-
-
 def own_sampler(sampler: Sampler) -> Sampler:
     """Return a caller's sampler with a ValueError for anything but finite latents of the shape that was asked for."""
 
@@ -110,9 +69,11 @@ def own_sampler(sampler: Sampler) -> Sampler:
         if not isinstance(drawn, Tensor) or drawn.shape != shape:
             got = tuple(drawn.shape) if isinstance(drawn, Tensor) else type(drawn).__name__
             raise ValueError(f"sampler: expected a tensor {tuple(shape)} of latents, got {got}")
+        if not drawn.is_floating_point():
+            raise ValueError(f"sampler: expected latents of floating-point numbers, got {drawn.dtype}")
         if not torch.isfinite(drawn).all():
             raise ValueError("sampler: the latents hold NaN or infinity")
-        return drawn
+        return drawn.float()
 
     return call
 
@@ -226,30 +187,39 @@ class Ditr:
         samples = self.config.sampler.samples if samples is None else samples
         check_count("steps", steps, 1, self.config.schedule.timesteps)
         seed = check_count("seed", seed, 0, MAX_SEED)
-        if threshold is not None and not 0 < threshold < 1:
-            raise ValueError(f"threshold: expected a probability between 0 and 1, got {threshold!r}")
+        check_stage_one(threshold, refine)
         rgb, depth, region = check_inputs(rgb, depth, region, samples)
-        probability = None
+        found = None
         if region is None:
-            probability, region = self.find_region(rgb, depth, threshold, refine)
+            found = self.claim(rgb, depth, threshold, refine)
+            region = found.frame.back(found.region)
         painting = self.inpaint(rgb, depth, region, steps, samples, seed)
-        maps = self.boundaries(rgb, depth)
         kept = np.zeros_like(depth) if adjust else depth
-        doubt = np.zeros_like(depth) if probability is None else probability
-        spread = np.where(region, painting.optical_spread, painting.geometric_spread)
-        mean = compose(kept, painting.optical, painting.geometric, region)
+        mean = painting.compose(kept, region)
+        back = painting.whole.view.back
         return Completion(
             depth=mean,
             region=region,
-            std=expected_error(spread, mean, (kept > 0) & ~region, region, doubt, self.config.std),
-            boundary_rgb=maps[M_RGB],
-            boundary_depth=maps[M_D],
-            boundary_da=maps[M_DA],
-            probability=probability,
-            optical=painting.optical,
-            geometric=painting.geometric,
+            std=self.stated(painting, mean, (kept > 0) & ~region, region, found),
+            boundary_rgb=partial(back, painting.boundaries[M_RGB]),
+            boundary_depth=partial(back, painting.boundaries[M_D]),
+            boundary_da=partial(back, painting.boundaries[M_DA]),
+            probability=found and partial(back, found.probability),
+            optical=partial(getattr, painting, "optical"),
+            geometric=partial(getattr, painting, "geometric"),
             windows=painting.windows,
+            classes=found and found.class_map,
         )
+
+    def stated(
+        self, painting: Painting, mean: np.ndarray, kept: np.ndarray, region: np.ndarray, found: Claim | None
+    ) -> np.ndarray:
+        """Return :func:`expected_error` of a composed frame, (H, W) float32 metres."""
+        doubt = np.zeros_like(mean) if found is None else found.frame.back(found.probability)
+        out = painting.spread(region)
+        for rows in strips(mean.shape):
+            out[rows] = expected_error(*(m[rows] for m in (out, mean, kept, region, doubt)), self.config.std)
+        return out
 
     @torch.no_grad()
     def find_region(
@@ -270,11 +240,24 @@ class Ditr:
         Returns:
             (H, W) float32 probability and (H, W) bool region, refined at the working size.
         """
+        found = self.claim(rgb, depth, threshold, refine)
+        return found.frame.back(found.probability), found.frame.back(found.region)
+
+    @torch.no_grad()
+    def claim(
+        self,
+        rgb: np.ndarray,
+        depth: np.ndarray,
+        threshold: float | None = None,
+        refine: RefineConfig | None = None,
+    ) -> Claim:
+        """Return what stage one says of a frame, at the working size; arguments as for :meth:`find_region`."""
         frame, classes = self.classify(rgb, depth)
         probability = 1 - classes[0]
         claimed = probability > (self.config.refine.threshold if threshold is None else threshold)
+        likelier = np.where(claimed, 1 + classes[1:].argmax(axis=0), 0).astype(np.uint8)
         region = self.refine(claimed & frame.picture, refine)  # the padding is no glass, and none grows out of it
-        return frame.back(probability), frame.back(region)
+        return Claim(frame, probability, likelier, region)
 
     @torch.no_grad()
     def classify(self, rgb: np.ndarray, depth: np.ndarray) -> tuple[Frame, np.ndarray]:
@@ -294,8 +277,11 @@ class Ditr:
     def boundaries(self, rgb: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return M_RGB, M_D and M_DA of a whole frame, each (H, W) bool, found at the working size."""
         frame = fit_frame(depth.shape, self.config.size)
-        maps = frame.on_picture(boundary_maps, frame.into(rgb), frame.into(depth), backend=self.backend)
-        return tuple(frame.back(m) for m in maps)
+        return tuple(frame.back(m) for m in self.outlines(frame, frame.into(rgb), frame.into(depth)))
+
+    def outlines(self, frame: Frame, rgb: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return M_RGB, M_D and M_DA, each (h, w) bool, of a frame at the working size, but not of its padding."""
+        return frame.on_picture(boundary_maps, rgb, without_strays(depth), backend=self.backend)
 
     @torch.no_grad()
     def inpaint(
@@ -321,61 +307,72 @@ class Ditr:
         """
         frame = fit_frame(depth.shape, self.config.size)
         small = tuple(frame.into(image) for image in (rgb, depth, region))
-        views, bounds = self.look([small], plan.guides[1], False)
+        maps = self.outlines(frame, *small[:2])
+        views, bounds = self.look([small], plan.guides[1], False, [maps])
         mean, spread = self.paint(1, views, bounds, steps, samples, seed, plan)
-        own = frame.back(mean[0])
-        tied = tie(own, without_strays(depth), region)
-        geometric = np.where((depth > 0) & ~region, own, tied)  # readings are not echoed: adjust asks for the painting
-        geometric_spread = frame.back(spread[0])
-        optical, optical_spread = geometric.copy(), geometric_spread.copy()
+        whole = Layer(mean[0], spread[0], frame)
+        holes = np.packbits((depth == 0) | region, axis=1)
+        painting = Painting(whole, (), level(frame.back(mean[0]), depth, region), holes, maps)
         if not self.config.window:  # the paper's: the whole frame here, too
-            views, bounds = self.look([small], plan.guides[0], False)
+            views, bounds = self.look([small], plan.guides[0], False, [maps])
             mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
-            return Painting(frame.back(mean[0]), geometric, frame.back(spread[0]), geometric_spread, ())
-        close = self.close_ups(rgb, depth, region, geometric)
-        if close:
-            views, bounds = self.look([shown for *_, shown in close], plan.guides[0], True)
-            mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
-            for i, (window, pixels, inner, _) in enumerate(close):
-                window.paste(inner.back(mean[i]), optical, pixels)
-                window.paste(inner.back(spread[i]), optical_spread, pixels)
-        return Painting(optical, geometric, optical_spread, geometric_spread, tuple(window for window, *_ in close))
+            return replace(painting, close=(Layer(mean[0], spread[0], frame),))
+        close = self.close_ups(rgb, depth, region, lambda: painting.geometric)
+        if not close:
+            return painting
+        views, bounds = self.look([shown for *_, shown in close], plan.guides[0], True)
+        mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
+        layers = []
+        for i, (window, pixels, inner, _) in enumerate(close):
+            layers.append(Layer(mean[i], spread[i], inner, window, pixels))
+        return replace(painting, close=tuple(layers))
 
     def close_ups(
-        self, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray, spare: np.ndarray
+        self,
+        rgb: np.ndarray,
+        depth: np.ndarray,
+        region: np.ndarray,
+        spare: np.ndarray | Callable[[], np.ndarray],
     ) -> list[tuple[Window, np.ndarray, Frame, tuple[np.ndarray, ...]]]:
         """Return the windows of a region: each with the (H, W) bool pixels it paints, its frame and what it shows.
 
         What it shows are rgb, depth and region, as :meth:`inpaint` takes them, at the size that the networks see. A
-        window far from all readings shows ``spare`` (H, W) metres, what the geometric branch painted, instead.
+        window far from all readings shows ``spare`` (H, W) metres, what the geometric branch painted, instead; it may
+        be a call that makes it.
         """
         side, found = self.config.window, []
         for window, pixels in choose_windows(region):
             inner = fit_frame((window.side, window.side), (side, side))
-            read = window.cut(depth)
-            if not read.any():
-                read = window.cut(spare)
-            shown = tuple(inner.into(image) for image in (window.cut(rgb), read, window.cut(region)))
-            found.append((window, pixels, inner, shown))
+            read = inner.into(window.cut(depth))
+            if not read.any():  # every reading is in some cell: there is none
+                read = inner.into(window.cut(spare() if callable(spare) else spare))
+            found.append((window, pixels, inner, (inner.into(window.cut(rgb)), read, inner.into(window.cut(region)))))
         return found
 
-    def look(self, pictures: list[tuple[np.ndarray, ...]], guide: int | None, around: bool) -> tuple[Views, Bounds]:
+    def look(
+        self,
+        pictures: list[tuple[np.ndarray, ...]],
+        guide: int | None,
+        around: bool,
+        boundaries: list[tuple[np.ndarray, ...]] | None = None,
+    ) -> tuple[Views, Bounds]:
         """Turn pictures at network size into what a branch is given.
 
         Args:
             pictures: rgb (h, w, 3) uint8, depth (h, w) metres with a reading, and region (h, w) bool of each.
             guide: which boundary map guides the branch; None for an empty one.
             around: take the bounds of each from the readings outside its region alone.
+            boundaries: M_RGB, M_D and M_DA of each, (h, w) bool; None to find them.
 
         Returns:
             the views, on the device, and their bounds as tensors (B, 1, 1, 1).
         """
         rows, lows, highs = [], [], []
-        for rgb, depth, region in pictures:
+        for i, (rgb, depth, region) in enumerate(pictures):
             depth = without_strays(depth)
             bounds = depth_bounds(depth, ~region if around else None)
             depth_n, valid = depth_tensors(depth, bounds)
-            maps = boundary_maps(rgb, depth, self.backend)
+            maps = boundaries[i] if boundaries else boundary_maps(rgb, depth, self.backend)
             guiding = np.zeros_like(region) if guide is None else maps[guide]
             masks = [torch.from_numpy(m)[None, None].float() for m in (region, guiding, maps[M_RGB])]  # (1, 1, h, w)
             rows.append((to_tensor(rgb[None]), depth_n, valid, *masks))

@@ -1,4 +1,7 @@
-"""How a picture comes to the size that networks see, and back: the whole frame, and windows around the region.
+"""How a picture comes to the size that networks see, and how what they make of it comes back to the picture's.
+
+First :class:`Frame` and :class:`Window`, then the results: a :class:`Claim` of stage one, the layers of a
+:class:`Painting`, and the :class:`Completion` that a caller is given, whose maps are made when they are asked for.
 
 A window is where the optical branch looks closely, one square around each blob of the region. Not in the paper, which
 works on whole frames at a size it does not name. On a laptop the working size is small, and a glass that is 60 pixels
@@ -8,12 +11,16 @@ is given squares twice as wide as what it must paint.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 import torch
+import torch.nn.functional as F
+from torch import Tensor
 
-from .conditioning import fill
+from .conditioning import fill, pool
+from .units import readings_seen, strips
 
 MARGIN = 2.0  # side of a window over the longer side of what it must hold
 LEAST = 0.2  # smallest side, as a share of the frame's longer side
@@ -39,7 +46,7 @@ class Frame:
         if image.ndim == 3:
             method = cv2.INTER_AREA if self.height < self.source[0] else cv2.INTER_LINEAR
         kind = np.uint8 if image.dtype == bool else image.dtype
-        small = cv2.resize(image.astype(kind), (self.width, self.height), interpolation=method)
+        small = cv2.resize(image.astype(kind, copy=False), (self.width, self.height), interpolation=method)
         if image.ndim == 2 and np.issubdtype(image.dtype, np.floating):
             pool_readings(small, image)
         return np.pad(small, self.padding + ((0, 0),) * (image.ndim - 2)).astype(image.dtype)
@@ -74,13 +81,20 @@ class Frame:
         image = image[: self.height, : self.width]
         if image.dtype == bool:
             return cv2.resize(image.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
-        nearest = cv2.resize(image, size, interpolation=cv2.INTER_NEAREST)
         if size == (self.width, self.height):
-            return nearest
+            return image.copy()
         smooth = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
-        edge = np.abs(smooth - nearest) > 0.01 * np.abs(nearest)  # averaging over a jump would make flying pixels
-        np.copyto(smooth, nearest, where=edge)
+        columns = _nearest(size[0], self.width)
+        for rows in strips(self.source):
+            nearest = image[_nearest(size[1], self.height)[rows, None], columns]
+            edge = np.abs(smooth[rows] - nearest) > 0.01 * np.abs(nearest)  # averages over a jump: flying pixels
+            np.copyto(smooth[rows], nearest, where=edge)
         return smooth
+
+
+def _nearest(length: int, short: int) -> np.ndarray:
+    """Return which of ``short`` pixels each of ``length`` takes, as OpenCV's INTER_NEAREST does."""
+    return np.minimum(np.floor(np.arange(length) * (1 / (length / short))).astype(int), short - 1)
 
 
 def fit_frame(source: tuple[int, int], size: tuple[int, int]) -> Frame:
@@ -100,6 +114,14 @@ def pool_readings(small: np.ndarray, image: np.ndarray) -> None:
         return
     rows, columns = ((np.arange(n) + 0.5) * s for n, s in zip(image.shape, scale, strict=True))
     y, x = np.minimum(rows.astype(int), small.shape[0] - 1), np.minimum(columns.astype(int), small.shape[1] - 1)
+    for cells in strips((small.shape[0], image.size // small.shape[0])):  # some rows of cells at a time
+        here = slice(*np.searchsorted(y, (cells.start, cells.stop)))
+        _pool_rows(small, image[here], (y[here], x), (rows[here], columns))
+
+
+def _pool_rows(small: np.ndarray, image: np.ndarray, cells: tuple, places: tuple) -> None:
+    """Do :func:`pool_readings` for some rows of the image, all those of their cells."""
+    (y, x), (rows, columns) = cells, places
     wanted = (image > 0) & (small == 0)[y[:, None], x[None]]
     v, u = np.nonzero(wanted)
     if v.size == 0:
@@ -109,24 +131,41 @@ def pool_readings(small: np.ndarray, image: np.ndarray) -> None:
     small[y[v[order]], x[u[order]]] = image[v[order], u[order]]
 
 
-def tie(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
-    """Draw a painting towards the readings around its holes: what they differ by is spread into the holes.
+def level(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> Tensor | None:
+    """Return how far the readings lie above a painting, filled where there is none.
 
-    The working size is smaller than a camera's picture; this gives a filled hole the level of its rim at full size.
-    By ratios, so that distance does not matter.
+    The working size is smaller than a camera's picture: this gives a filled hole the level of its rim at full size, see
+    :func:`tie`. By ratios, so that distance does not matter.
 
     Args:
         painted: (H, W) metres, dense.
-        depth: (H, W) raw metres, 0 = missing.
-        region: (H, W) bool, whose readings do not count.
+        depth: (H, W) raw metres, 0 = missing; readings that are :func:`strays` do not count.
+        region: (H, W) bool, whose readings do not count either.
 
     Returns:
-        (H, W) float32 metres, equal to ``depth`` where a reading counts.
+        (1, 1, H/2, W/2) logarithm of the ratio, rounded up; None where no reading counts.
     """
-    known = (depth > 0) & ~region
-    difference = np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0))
-    maps = [torch.from_numpy(m.astype(np.float32))[None, None] for m in (difference, known)]
-    return (painted * np.exp(fill(*maps)[0, 0].numpy())).astype(np.float32)
+    known = readings_seen(depth)
+    known &= ~region
+    if not known.any():
+        return None
+    pooled = []
+    for rows in strips(painted.shape):
+        maps = (_ratio(painted[rows], depth[rows], known[rows]), known[rows])
+        pooled.append(pool(*(torch.from_numpy(m.astype(np.float32))[None, None] for m in maps)))
+    mean, share = (torch.cat(parts, dim=2) for parts in zip(*pooled, strict=True))
+    return fill(mean, (share > 0).float())
+
+
+def tie(painted: np.ndarray, lift: Tensor, holes: np.ndarray) -> None:
+    """Raise a painting (H, W) in metres by ``lift``, its :func:`level`, in place, in its holes (H, W) bool."""
+    offset = F.interpolate(lift, size=painted.shape, mode="bilinear", align_corners=False)[0, 0].numpy()
+    for rows in strips(painted.shape):
+        np.multiply(painted[rows], np.exp(offset[rows]), out=painted[rows], where=holes[rows])
+
+
+def _ratio(painted: np.ndarray, depth: np.ndarray, known: np.ndarray) -> np.ndarray:
+    return np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0)).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -178,6 +217,32 @@ def square(box: np.ndarray, shape: tuple[int, int]) -> Window:
     return Window(corner[0], corner[1], side)
 
 
+def largest_piece(region: np.ndarray) -> np.ndarray:
+    """Return the largest connected piece of a region, (H, W) bool; all False for an empty one."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
+    if count < 2:
+        return np.zeros_like(region)
+    return labels == 1 + stats[1:, cv2.CC_STAT_AREA].argmax()
+
+
+def box_around(region: np.ndarray, margin: float = 0.5) -> tuple[slice, slice]:
+    """Return the rows and columns of a region with a border around it; the whole frame for an empty one.
+
+    ``image[box]`` is the crop, and ``whole[box] = part`` puts it back.
+
+    Args:
+        region: (H, W) bool.
+        margin: width of the border, as a share of the region's longer side; it ends where the frame ends.
+    """
+    rows, columns = np.nonzero(region)
+    if not rows.size:
+        return slice(0, region.shape[0]), slice(0, region.shape[1])
+    border = int(np.ceil(margin * max(np.ptp(rows) + 1, np.ptp(columns) + 1)))
+    top, left = max(0, int(rows.min()) - border), max(0, int(columns.min()) - border)
+    bottom, right = (min(n, int(i.max()) + 1 + border) for n, i in zip(region.shape, (rows, columns), strict=True))
+    return slice(top, bottom), slice(left, right)
+
+
 def choose_windows(region: np.ndarray, most: int = MOST) -> list[tuple[Window, np.ndarray]]:
     """Choose windows that together cover a region, and say which of its pixels each one paints.
 
@@ -205,7 +270,15 @@ def choose_windows(region: np.ndarray, most: int = MOST) -> list[tuple[Window, n
         else:
             boxes[home] = np.concatenate([np.minimum(boxes[home][:2], box[:2]), np.maximum(boxes[home][2:], box[2:])])
             members[home].append(blob)
-    return [(square(box, region.shape), np.isin(labels, blobs)) for box, blobs in zip(boxes, members, strict=True)]
+    return [(square(box, region.shape), _of(labels, box, blobs)) for box, blobs in zip(boxes, members, strict=True)]
+
+
+def _of(labels: np.ndarray, box: np.ndarray, blobs: list[int]) -> np.ndarray:
+    """Return (H, W) bool of some blobs; outside their box nothing is written, so that it takes no memory there."""
+    pixels = np.zeros(labels.shape, bool)
+    inner = np.s_[box[0] : box[2], box[1] : box[3]]
+    pixels[inner] = np.isin(labels[inner], blobs)
+    return pixels
 
 
 def _home(box: np.ndarray, boxes: list[np.ndarray], shape: tuple[int, int], full: bool) -> int | None:
@@ -227,3 +300,182 @@ def _home(box: np.ndarray, boxes: list[np.ndarray], shape: tuple[int, int], full
         return None
     centres = np.array([(b[:2] + b[2:]) / 2 for b in boxes])
     return int(np.argmin(np.linalg.norm(centres - (box[:2] + box[2:]) / 2, axis=1)))
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What stage one says of a frame, at the working size.
+
+    Attributes:
+        frame: how the frame lies in (h, w).
+        probability: (h, w) float32.
+        classes: (h, w) uint8, 0 where nothing is claimed, else the likelier class.
+        region: (h, w) bool, refined.
+    """
+
+    frame: Frame
+    probability: np.ndarray
+    classes: np.ndarray
+    region: np.ndarray
+
+    def class_map(self) -> np.ndarray:
+        """Return the classes at the size of the frame, (H, W) uint8."""
+        codes = range(1, int(self.classes.max(initial=0)) + 1)
+        claims = (np.uint8(code) * self.frame.back(self.classes == code) for code in codes)
+        return sum(claims, np.zeros(self.frame.source, np.uint8))
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What a branch made of a view, at network size, and where that lies in the frame.
+
+    Attributes:
+        mean, spread: (h, w) float32 metres, over samples.
+        view: how the view, a window or the frame, lies in (h, w).
+        window: None for the frame.
+        pixels: (H, W) bool, what is painted of the frame in a window.
+    """
+
+    mean: np.ndarray
+    spread: np.ndarray
+    view: Frame
+    window: Window | None = None
+    pixels: np.ndarray | None = None
+
+    def onto(self, image: np.ndarray, what: str, region: np.ndarray | None = None) -> None:
+        """Paint ``what``, "mean" or "spread", onto a map (H, W) in place; of a whole frame ``region`` alone, if any."""
+        painted = self.view.back(getattr(self, what))
+        if self.window is None:
+            np.copyto(image, painted, where=True if region is None else region)
+        else:
+            self.window.paste(painted, image, self.pixels)
+
+
+@dataclass(frozen=True)
+class Painting:
+    """What stage two made of a frame, before composition; its maps are made from network size when asked for.
+
+    Attributes:
+        whole: the geometric branch's, of the frame.
+        close: the optical branch's.
+        level: of the readings over the geometric branch's painting, see :func:`level`; None without any.
+        holes: (H, W) bool as bits, where there is no reading outside the region.
+        boundaries: M_RGB, M_D and M_DA of the frame, (h, w) bool.
+    """
+
+    whole: Layer
+    close: tuple[Layer, ...]
+    level: Tensor | None
+    holes: np.ndarray
+    boundaries: tuple[np.ndarray, ...]
+
+    @property
+    def windows(self) -> tuple[Window, ...]:
+        """Where the optical branch looked."""
+        return tuple(layer.window for layer in self.close if layer.window is not None)
+
+    @property
+    def geometric(self) -> np.ndarray:
+        """(H, W) float32 metres, painted over the whole frame; holes at the level of the readings around them.
+
+        Readings are not echoed: ``adjust`` asks for the painting.
+        """
+        view = self.whole.view
+        painted = view.back(self.whole.mean)
+        if self.level is not None:
+            tie(painted, self.level, np.unpackbits(self.holes, axis=1, count=view.source[1]).view(bool))
+        return painted
+
+    @property
+    def optical(self) -> np.ndarray:
+        """(H, W) float32 metres, painted in windows around the region; what the geometric branch painted elsewhere."""
+        image = self.geometric
+        for layer in self.close:
+            layer.onto(image, "mean")
+        return image
+
+    @property
+    def geometric_spread(self) -> np.ndarray:
+        """(H, W) float32 metres, standard deviation over samples."""
+        return self.whole.view.back(self.whole.spread)
+
+    @property
+    def optical_spread(self) -> np.ndarray:
+        """(H, W) float32 metres, likewise."""
+        image = self.geometric_spread
+        for layer in self.close:
+            layer.onto(image, "spread")
+        return image
+
+    def compose(self, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
+        """Return what ``pipeline.compose`` makes of this, (H, W) float32 metres, with fewer maps in memory at once."""
+        out = self.geometric
+        for layer in self.close:
+            layer.onto(out, "mean", region)
+        np.copyto(out, depth, where=(depth > 0) & ~region)
+        return out
+
+    def spread(self, region: np.ndarray) -> np.ndarray:
+        """Return (H, W) float32 metres, the spread of the branch that paints each pixel."""
+        out = self.geometric_spread
+        for layer in self.close:
+            layer.onto(out, "spread", region)
+        return out
+
+
+class OnDemand:
+    """A map of a result: an array, or a call that makes it when it is first asked for.
+
+    Most callers want ``depth`` alone, and of a large frame each map takes hundreds of megabytes.
+    """
+
+    def __init__(self, *default: Any):
+        self.default = default
+
+    def __set_name__(self, owner: type, name: str):
+        self.name = name
+
+    def __get__(self, result: Any, owner: type | None = None) -> Any:
+        if result is None and not self.default:
+            raise AttributeError(self.name)  # for dataclass: there is no default
+        if result is None:
+            return self.default[0]
+        held = result.__dict__[self.name]
+        if callable(held):
+            held = result.__dict__[self.name] = held()
+        return held
+
+    def __set__(self, result: Any, value: Any):
+        result.__dict__[self.name] = value
+
+
+@dataclass(frozen=True)
+class Completion:
+    """What ``pipeline.Ditr`` returns; all maps have the size of the input.
+
+    Depth, region and std are there; the other maps are made when they are first asked for.
+
+    Attributes:
+        depth: (H, W) float32 metres, dense.
+        region: (H, W) bool, after refinement (the caller's, if one was given).
+        std: (H, W) float32 metres, the error to expect (one standard deviation), see ``metrics.expected_error``.
+        boundary_rgb, boundary_depth, boundary_da: (H, W) bool, M_RGB, M_D and M_DA.
+        probability: (H, W) float32, stage one's belief before threshold and refinement; None for a given region.
+        optical, geometric: (H, W) float32 metres, each branch's own repainting before composition; the optical branch
+            paints its windows only and shows the geometric one's elsewhere.
+        windows: where the optical branch looked.
+        classes: (H, W) uint8, what stage one claims before refinement: 0 nothing, else the likelier of the classes
+            ``data.TRANSPARENT`` and ``data.REFLECTIVE``; None for a given region.
+    """
+
+    depth: np.ndarray
+    region: np.ndarray
+    std: np.ndarray
+    boundary_rgb: np.ndarray = OnDemand()
+    boundary_depth: np.ndarray = OnDemand()
+    boundary_da: np.ndarray = OnDemand()
+    probability: np.ndarray | None = OnDemand()
+    optical: np.ndarray = OnDemand()
+    geometric: np.ndarray = OnDemand()
+    windows: tuple[Window, ...]
+    classes: np.ndarray | None = OnDemand(None)

@@ -372,11 +372,15 @@ PARTITION = [
 REGION = [
     *family(
         "learning rates (S3)",
-        "training/as_the_paper",
+        "training/loop",
         ("cosine: whole period", "math.cos(math.pi * p)", "math.cos(2 * math.pi * p)"),
         ("cosine: not halved", "(1 + math.cos(math.pi * p)) / 2", "(1 + math.cos(math.pi * p))"),
         ("exponential: rises", "math.exp(-fall * p)", "math.exp(fall * p)"),
         ("exponential: dropped", " * math.exp(-fall * p)", ""),
+    ),
+    *family(
+        "learning rates (S3)",
+        "training/as_the_paper",
         ("TROSNet: sign of the fall", "0.001 - 0.0004 * fallen", "0.001 + 0.0004 * fallen"),
         ("TROSNet: period", "iteration / 228", "iteration / 150"),
         ("deep supervision of nothing", "drawn.material, weight)", "0 * drawn.material, weight)"),
@@ -399,7 +403,7 @@ REGION = [
         ),
         ("RMSE: not in metres", "(depth_m - batch.truth_m)", "(depth_m - batch.gt_n)"),
         ("RMSE: unknown truth scored", ".square() * batch.gt_known", ".square()"),
-        ("weight dropped", "total = segmentation + rmse_weight * rmse", "total = segmentation + rmse"),
+        ("weight dropped", "segmentation + rmse_weight * rmse,", "segmentation + rmse,"),
         ("painted for the found region alone", "torch.maximum(hard, batch.region)", "hard"),
         ("branches swapped", "return drawn[0], drawn[1]", "return drawn[1], drawn[0]"),
     ),
@@ -487,13 +491,13 @@ FRAMES = [
         ("not pooled", "            pool_readings(small, image)\n", "            pass\n"),
         ("pooled: the farthest from the centre", "order = np.argsort(-away", "order = np.argsort(away"),
         ("pooled: over readings", "(image > 0) & (small == 0)[", "(image > 0) & (small >= 0)["),
-        ("tie: by differences", "painted * np.exp(fill(", "painted + np.exp(fill("),
+        ("tie: by differences", "np.multiply(painted[rows], np.exp", "np.add(painted[rows], np.exp"),
         (
             "tie: upside down",
             "np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0))",
             "np.log(np.where(known, painted, 1.0) / np.where(known, depth, 1.0))",
         ),
-        ("tie: to the region, too", "known = (depth > 0) & ~region\n", "known = depth > 0\n"),
+        ("tie: to the region, too", "    known &= ~region\n", ""),
     ),
     *family(
         "readings",
@@ -584,8 +588,8 @@ FRAMES = [
         ),
         (
             "every sample the same noise",
-            "noise = torch.randn(masked.shape, generator=generator)",
-            "noise = torch.randn(masked.shape, generator=generator)[:1].expand(masked.shape)",
+            "for start in noise.split(GROUP * views):",
+            "for start in noise[:1].expand(noise.shape).split(GROUP * views):",
         ),
     ),
     *family(
@@ -603,8 +607,8 @@ INPUTS = [
     *family(
         "files of any camera",
         "files",
-        ("scale: of integers only", "metres = raw if scale == 1 else raw.astype(np.float64) * scale", "metres = raw"),
-        ("65535 is a distance", "np.where(raw == NO_READING, 0.0, raw.astype(np.float64) * scale)", "raw * scale"),
+        ("scale: of integers only", "if raw.dtype == np.float32 and scale == 1:", "if raw.dtype == np.float32:"),
+        ("65535 is a distance", "row[stored == NO_READING] = 0", "pass"),
         ("PNG: checksums are not read", 'zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big")', "False"),
         ("JPEG: the end is not looked for", 'data.rfind(b"\\xff\\xd9") < data.rfind(b"\\xff\\xda")', "False"),
         ("PNG out: always millimetres", "depth_to_png(depth_m, depth_scale))", "depth_to_png(depth_m))"),
@@ -635,6 +639,36 @@ INPUTS = [
             "metrics.iou(out.probability > ditr.config.refine.threshold, sample.region)",
             "metrics.iou(out.region, sample.region)",
         ),
+    ),
+    *family(
+        "sensors' noise and dropouts",
+        "simulator/tof",
+        ("noise: falls as the light", "/ np.sqrt(np.maximum(amplitude, settings.floor))", "/ amplitude"),
+        ("noise: no floor", "np.sqrt(np.maximum(amplitude, settings.floor))", "np.sqrt(amplitude)"),
+        ("noise: grows with the light", "/ np.sqrt(np.maximum(amplitude, settings.floor))", "* np.sqrt(amplitude)"),
+    ),
+    *family(
+        "sensors' noise and dropouts",
+        "simulator/stereo",
+        ("jump: another share", "> 0.04 * np.maximum(depth, 0.2)", "> 0.05 * np.maximum(depth, 0.2)"),
+        ("jump: of the depth, however near", "> 0.04 * np.maximum(depth, 0.2)", "> 0.04 * depth"),
+        ("jump: in metres", "> 0.04 * np.maximum(depth, 0.2)", "> 0.04"),
+    ),
+    *family(
+        "calibration",
+        "evaluation/uncertainty",
+        ("fitted on a test split", "if name in HELD_OUT", "if name not in splits"),
+        ("geometric: kept readings, too", '"geometric": ~region & ~read', '"geometric": ~region'),
+        ("kept: what was painted, too", "KEPT: ~region & read", "KEPT: read"),
+    ),
+    *family(
+        "a frame's way back",
+        "windows",
+        ("spread: of the geometric branch", 'layer.onto(out, "spread", region)', "pass"),
+        ("composed: readings lost", "np.copyto(out, depth, where=(depth > 0) & ~region)", "pass"),
+        ("composed: readings of the region, too", "where=(depth > 0) & ~region)", "where=depth > 0)"),
+        ("holes: everything is raised", "out=painted[rows], where=holes[rows])", "out=painted[rows])"),
+        ("rows of cells are mixed", "np.searchsorted(y, (cells.start, cells.stop))", "(cells.start, cells.stop)"),
     ),
 ]
 MUTANTS: list[Mutant] = [

@@ -267,7 +267,7 @@ def within_its_lines(name: str, method: Callable) -> Callable:
             return method(*given)
         except (ValueError, KeyboardInterrupt):
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             package = str(Path(__file__).parents[1])
             own = [step for step in traceback.extract_tb(error.__traceback__) if not step.filename.startswith(package)]
             where = f"{Path(own[-1].filename).name}, line {own[-1].lineno}: " if own else ""
