@@ -6,7 +6,6 @@ A stopped run goes on where it was.
 """
 
 import argparse
-import sys
 from pathlib import Path
 
 import torch
@@ -44,7 +43,7 @@ def main() -> None:
     report = {"minutes": args.minutes, "scenes": len(pool), "trained": trained, "errors": errors}
     report["summary"] = denoisers.summarise_denoisers(errors)
     print(denoisers.format_denoisers(report))
-    command = results.tool_command("denoiser_study", sys.argv[1:])
+    command = results.tool_command("denoiser_study", ["--minutes", args.minutes])  # where files lie decides nothing
     results.write(args.json, results.head(command, parts=["autoencoder", "encoder"]), report)
 
 

@@ -7,7 +7,6 @@ arms; a stopped or repeated run computes only what is missing or depends on weig
 """
 
 import argparse
-import sys
 from pathlib import Path
 
 import ditr_lite as dl
@@ -45,7 +44,10 @@ def main() -> None:
         blind = {name: row for name, row in rows.items() if name not in compare.NEED_TRUTH}
         report["real"] = compare.score_rows(blind, frames, args.peers / "scores" / "real", compare.score_real)
     print(peer_tables.format_study(report))
-    top = results.head(results.tool_command("peer_study", sys.argv[1:]))
+    asked = ["--split", *args.split]  # what decides the figures; where files lie does not
+    asked += ["--limit", args.limit] if args.limit else []
+    asked += ["--real", args.real.name] if args.real else []
+    top = results.head(results.tool_command("peer_study", asked))
     results.write(args.json, top, report)
 
 
