@@ -217,6 +217,32 @@ def square(box: np.ndarray, shape: tuple[int, int]) -> Window:
     return Window(corner[0], corner[1], side)
 
 
+def largest_piece(region: np.ndarray) -> np.ndarray:
+    """Return the largest connected piece of a region, (H, W) bool; all False for an empty one."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
+    if count < 2:
+        return np.zeros_like(region)
+    return labels == 1 + stats[1:, cv2.CC_STAT_AREA].argmax()
+
+
+def box_around(region: np.ndarray, margin: float = 0.5) -> tuple[slice, slice]:
+    """Return the rows and columns of a region with a border around it; the whole frame for an empty one.
+
+    ``image[box]`` is the crop, and ``whole[box] = part`` puts it back.
+
+    Args:
+        region: (H, W) bool.
+        margin: width of the border, as a share of the region's longer side; it ends where the frame ends.
+    """
+    rows, columns = np.nonzero(region)
+    if not rows.size:
+        return slice(0, region.shape[0]), slice(0, region.shape[1])
+    border = int(np.ceil(margin * max(np.ptp(rows) + 1, np.ptp(columns) + 1)))
+    top, left = max(0, int(rows.min()) - border), max(0, int(columns.min()) - border)
+    bottom, right = (min(n, int(i.max()) + 1 + border) for n, i in zip(region.shape, (rows, columns), strict=True))
+    return slice(top, bottom), slice(left, right)
+
+
 def choose_windows(region: np.ndarray, most: int = MOST) -> list[tuple[Window, np.ndarray]]:
     """Choose windows that together cover a region, and say which of its pixels each one paints.
 
