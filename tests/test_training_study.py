@@ -37,7 +37,7 @@ def toy_run(folder, steps, watch=None, every=2, batch=2):
         return {"total": (net(torch.randn(4, 3)) ** 2).mean()}
 
     recipe = study.loop.Recipe(steps=steps, batch=1, lr=0.01)
-    return study.loop.fit("outlines", net, step_loss, recipe, folder, every=every, progress=False)
+    return study.loop.fit("outlines", net, step_loss, recipe, folder, every=every, progress=False, watch=watch)
 
 
 def test_differences_are_paired_over_frames_that_have_both(capsys):

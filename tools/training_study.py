@@ -117,31 +117,44 @@ def kills(options: argparse.Namespace) -> dict:
     crops_of("train", 2)  # read before the processes begin, which inherit it
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
-        begun = time.monotonic()
         _in_a_process(home / "whole", options.steps, None)
-        whole = time.monotonic() - begun
         wanted, same, when = _last(home / "whole"), [], []
         for k in range(options.count):
-            moment = float(rng.uniform(0.1, 1.0) * whole)
+            moment = int(rng.integers(1, options.steps)), float(rng.uniform(0, 0.3))
             ended = _in_a_process(home / str(k), options.steps, moment)
             _in_a_process(home / str(k), options.steps, None)
             found = _last(home / str(k))
             same.append(found.keys() == wanted.keys() and all(torch.equal(found[n], wanted[n]) for n in wanted))
-            when.append({"second": moment, "after_steps": ended})
-            print(f"killed after {moment:.1f} s, checkpoint of step {ended}: the same bits: {same[-1]}", flush=True)
+            when.append({"step": moment[0], "seconds_later": moment[1], "checkpoint": ended})
+            where = f"{moment[1]:.2f} s after step {moment[0]}, checkpoint of step {ended}"
+            print(f"killed {where}: the same bits: {same[-1]}", flush=True)
     print(f"{sum(same)} of {len(same)} killed trainings end in the bits of one that was not")
     return {"same": same, "kills": when, "steps": options.steps}
 
 
-def _in_a_process(folder: Path, steps: int, kill_after: float | None) -> int:
-    """Train in a process of its own, kill it after some seconds, and return the step of the checkpoint there is."""
-    method = "fork" if sys.platform.startswith("linux") else "spawn"
-    process = multiprocessing.get_context(method).Process(target=outlines, args=(folder, steps, None, 2, 2))
+def _in_a_process(folder: Path, steps: int, kill: tuple[int, float] | None) -> int:
+    """Train in a process of its own, kill it some seconds after a step, and return the step of its checkpoint."""
+    context = multiprocessing.get_context("fork" if sys.platform.startswith("linux") else "spawn")
+    done = context.Value("i", 0)
+    process = context.Process(target=_counted, args=(folder, steps, done))
     process.start()
-    process.join(kill_after)
+    if kill is None:
+        process.join()
+    while process.is_alive() and done.value < kill[0]:
+        process.join(0.005)
+    process.join(kill[1] if kill else None)
     process.kill()
     process.join()
     return int(_last(folder)["step"]) if (folder / "outlines.checkpoint.safetensors").is_file() else 0
+
+
+def _counted(folder: Path, steps: int, done) -> None:
+    """Train and say how many steps are done."""
+
+    def watch(step: int, _: dict[str, float]) -> None:
+        done.value = step + 1
+
+    outlines(folder, steps, watch, every=2, batch=2)
 
 
 def _last(folder: Path) -> dict[str, torch.Tensor]:

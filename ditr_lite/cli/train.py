@@ -282,8 +282,6 @@ def experiment(options: Namespace, settings: dict[str, str]) -> None:
 
     from ..studies.experiment import QUICK, compare_settings, format_comparison
 
-    if options.start:
-        raise ValueError("a comparison trains both systems afresh: leave --start out, or train one --part with it")
     for name in ("data", "val"):
         if len(getattr(options, name) or []) > 1:
             raise ValueError(f"a comparison takes one folder of scenes as --{name}, got {len(getattr(options, name))}")
