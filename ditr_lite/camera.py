@@ -26,6 +26,19 @@ class Camera:
         sx, sy = width / self.width, height / self.height
         return Camera(self.fx * sx, self.fy * sy, (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5, width, height)
 
+    def cropped(self, rows: slice, columns: slice) -> "Camera":
+        """Return the camera of a crop ``image[rows, columns]``: the same rays, so only the principal point moves.
+
+        Raises:
+            ValueError: when the slices leave nothing or skip pixels.
+        """
+        (top, bottom, down), (left, right, across) = rows.indices(self.height), columns.indices(self.width)
+        if down != 1 or across != 1 or bottom <= top or right <= left:
+            raise ValueError(
+                f"expected slices that leave a part of {self.height} x {self.width}, got {rows}, {columns}"
+            )
+        return Camera(self.fx, self.fy, self.cx - left, self.cy - top, right - left, bottom - top)
+
 
 @dataclass(frozen=True)
 class Stereo:

@@ -4,9 +4,8 @@ Paper: Sec. IV-A and Fig. 5; Eq. 3, ``D_out = DITR(D_in given X)``.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -17,49 +16,16 @@ from . import diffusion
 from .autoencoder import VQAutoencoder
 from .boundary import M_D, M_DA, M_RGB, Backend, boundary_maps, get_backend, own_backend
 from .conditioning import CHANNELS, Bounds, depth_bounds, depth_tensors, to_tensor
-from .config import Config, RefineConfig
+from .config import Config, RefineConfig, check_stage_one
 from .detail import DetailNet
+from .metrics import expected_error
 from .region import ColourEncoder, RegionNet, refine_region
 from .schedule import make_schedule
 from .stage_two import BRANCHES, Painter, Plan, Sampler, Views, paint
 from .store import load_parts
 from .unet import DenoisingUNet
-from .units import MAX_SEED, check_count, check_inputs, without_strays
-from .windows import Found, Frame, Layer, OnDemand, Painting, Window, choose_windows, fit_frame, level
-
-Maps = tuple[np.ndarray, ...]  # of one picture
-
-
-@dataclass(frozen=True)
-class Completion:
-    """What :class:`pipeline.Ditr` returns; all maps have the size of the input.
-
-    Depth, region and std are there; the other maps are made when they are first asked for.
-
-    Attributes:
-        depth: (H, W) float32 metres, dense.
-        region: (H, W) bool, after refinement (the caller's, if one was given).
-        std: (H, W) float32 metres, the error to expect (one standard deviation), see ``metrics.expected_error``.
-        boundary_rgb, boundary_depth, boundary_da: (H, W) bool, M_RGB, M_D and M_DA.
-        probability: (H, W) float32, stage one's belief before threshold and refinement; None for a given region.
-        optical, geometric: (H, W) float32 metres, each branch's own repainting before composition; the optical branch
-            paints its windows only and shows the geometric one's elsewhere.
-        windows: where the optical branch looked.
-        classes: (H, W) uint8, what stage one claims before refinement: 0 nothing, else the likelier of the classes
-            ``data.TRANSPARENT`` and ``data.REFLECTIVE``; None for a given region.
-    """
-
-    depth: np.ndarray
-    region: np.ndarray
-    std: np.ndarray
-    boundary_rgb: np.ndarray = OnDemand()
-    boundary_depth: np.ndarray = OnDemand()
-    boundary_da: np.ndarray = OnDemand()
-    probability: np.ndarray | None = OnDemand()
-    optical: np.ndarray = OnDemand()
-    geometric: np.ndarray = OnDemand()
-    windows: tuple[Window, ...]
-    classes: np.ndarray | None = OnDemand(None)
+from .units import MAX_SEED, check_count, check_inputs, strips, without_strays
+from .windows import Claim, Completion, Frame, Layer, Painting, Window, choose_windows, fit_frame, level
 
 
 def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, region: np.ndarray) -> np.ndarray:
@@ -221,10 +187,7 @@ class Ditr:
         samples = self.config.sampler.samples if samples is None else samples
         check_count("steps", steps, 1, self.config.schedule.timesteps)
         seed = check_count("seed", seed, 0, MAX_SEED)
-        if threshold is not None and not (isinstance(threshold, Real) and 0 < threshold < 1):
-            raise ValueError(f"threshold: expected a probability between 0 and 1, got {threshold!r}")
-        if refine is not None and not isinstance(refine, RefineConfig):
-            raise ValueError(f"refine: expected a config.RefineConfig, got {refine!r}")
+        check_stage_one(threshold, refine)
         rgb, depth, region = check_inputs(rgb, depth, region, samples)
         found = None
         if region is None:
@@ -237,7 +200,7 @@ class Ditr:
         return Completion(
             depth=mean,
             region=region,
-            std=painting.expected_error(mean, (kept > 0) & ~region, region, found, self.config.std),
+            std=self.stated(painting, mean, (kept > 0) & ~region, region, found),
             boundary_rgb=partial(back, painting.boundaries[M_RGB]),
             boundary_depth=partial(back, painting.boundaries[M_D]),
             boundary_da=partial(back, painting.boundaries[M_DA]),
@@ -248,13 +211,31 @@ class Ditr:
             classes=found and found.class_map,
         )
 
+    def stated(
+        self, painting: Painting, mean: np.ndarray, kept: np.ndarray, region: np.ndarray, found: Claim | None
+    ) -> np.ndarray:
+        """Return :func:`expected_error` of a composed frame, (H, W) float32 metres."""
+        doubt = np.zeros_like(mean) if found is None else found.frame.back(found.probability)
+        out = painting.spread(region)
+        for rows in strips(mean.shape):
+            out[rows] = expected_error(*(m[rows] for m in (out, mean, kept, region, doubt)), self.config.std)
+        return out
+
     @torch.no_grad()
     def find_region(
-        self, rgb: np.ndarray, depth: np.ndarray, threshold: float | None = None, refine: RefineConfig | None = None
+        self,
+        rgb: np.ndarray,
+        depth: np.ndarray,
+        threshold: float | None = None,
+        refine: RefineConfig | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Run stage one on a whole frame (Paper: Sec. IV-B).
 
-        Depth is clean; arguments are those of :meth:`__call__`.
+        Args:
+            rgb: (H, W, 3) uint8.
+            depth: (H, W) float32 metres, clean.
+            threshold: as in :meth:`__call__`.
+            refine: likewise.
 
         Returns:
             (H, W) float32 probability and (H, W) bool region, refined at the working size.
@@ -264,15 +245,19 @@ class Ditr:
 
     @torch.no_grad()
     def claim(
-        self, rgb: np.ndarray, depth: np.ndarray, threshold: float | None = None, refine: RefineConfig | None = None
-    ) -> Found:
+        self,
+        rgb: np.ndarray,
+        depth: np.ndarray,
+        threshold: float | None = None,
+        refine: RefineConfig | None = None,
+    ) -> Claim:
         """Return what stage one says of a frame, at the working size; arguments as for :meth:`find_region`."""
         frame, classes = self.classify(rgb, depth)
         probability = 1 - classes[0]
         claimed = probability > (self.config.refine.threshold if threshold is None else threshold)
         likelier = np.where(claimed, 1 + classes[1:].argmax(axis=0), 0).astype(np.uint8)
         region = self.refine(claimed & frame.picture, refine)  # the padding is no glass, and none grows out of it
-        return Found(frame, probability, likelier, region)
+        return Claim(frame, probability, likelier, region)
 
     @torch.no_grad()
     def classify(self, rgb: np.ndarray, depth: np.ndarray) -> tuple[Frame, np.ndarray]:
@@ -294,7 +279,7 @@ class Ditr:
         frame = fit_frame(depth.shape, self.config.size)
         return tuple(frame.back(m) for m in self.outlines(frame, frame.into(rgb), frame.into(depth)))
 
-    def outlines(self, frame: Frame, rgb: np.ndarray, depth: np.ndarray) -> Maps:
+    def outlines(self, frame: Frame, rgb: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return M_RGB, M_D and M_DA, each (h, w) bool, of a frame at the working size, but not of its padding."""
         return frame.on_picture(boundary_maps, rgb, without_strays(depth), backend=self.backend)
 
@@ -343,8 +328,12 @@ class Ditr:
         return replace(painting, close=tuple(layers))
 
     def close_ups(
-        self, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray, spare: np.ndarray | Callable[[], np.ndarray]
-    ) -> list[tuple[Window, np.ndarray, Frame, Maps]]:
+        self,
+        rgb: np.ndarray,
+        depth: np.ndarray,
+        region: np.ndarray,
+        spare: np.ndarray | Callable[[], np.ndarray],
+    ) -> list[tuple[Window, np.ndarray, Frame, tuple[np.ndarray, ...]]]:
         """Return the windows of a region: each with the (H, W) bool pixels it paints, its frame and what it shows.
 
         What it shows are rgb, depth and region, as :meth:`inpaint` takes them, at the size that the networks see. A
@@ -361,7 +350,11 @@ class Ditr:
         return found
 
     def look(
-        self, pictures: list[Maps], guide: int | None, around: bool, boundaries: list[Maps] | None = None
+        self,
+        pictures: list[tuple[np.ndarray, ...]],
+        guide: int | None,
+        around: bool,
+        boundaries: list[tuple[np.ndarray, ...]] | None = None,
     ) -> tuple[Views, Bounds]:
         """Turn pictures at network size into what a branch is given.
 

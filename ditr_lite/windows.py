@@ -1,4 +1,7 @@
-"""How a picture comes to the size that networks see, and back: the whole frame, and windows around the region.
+"""How a picture comes to the size that networks see, and how what they make of it comes back to the picture's.
+
+First :class:`Frame` and :class:`Window`, then the results: a :class:`Claim` of stage one, the layers of a
+:class:`Painting`, and the :class:`Completion` that a caller is given, whose maps are made when they are asked for.
 
 A window is where the optical branch looks closely, one square around each blob of the region. Not in the paper, which
 works on whole frames at a size it does not name. On a laptop the working size is small, and a glass that is 60 pixels
@@ -17,9 +20,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .conditioning import fill, pool
-from .config import StdConfig
-from .metrics import expected_error
-from .units import seen, strips
+from .units import readings_seen, strips
 
 MARGIN = 2.0  # side of a window over the longer side of what it must hold
 LEAST = 0.2  # smallest side, as a share of the frame's longer side
@@ -144,7 +145,7 @@ def level(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> Tensor 
     Returns:
         (1, 1, H/2, W/2) logarithm of the ratio, rounded up; None where no reading counts.
     """
-    known = seen(depth)
+    known = readings_seen(depth)
     known &= ~region
     if not known.any():
         return None
@@ -216,6 +217,32 @@ def square(box: np.ndarray, shape: tuple[int, int]) -> Window:
     return Window(corner[0], corner[1], side)
 
 
+def largest_piece(region: np.ndarray) -> np.ndarray:
+    """Return the largest connected piece of a region, (H, W) bool; all False for an empty one."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
+    if count < 2:
+        return np.zeros_like(region)
+    return labels == 1 + stats[1:, cv2.CC_STAT_AREA].argmax()
+
+
+def box_around(region: np.ndarray, margin: float = 0.5) -> tuple[slice, slice]:
+    """Return the rows and columns of a region with a border around it; the whole frame for an empty one.
+
+    ``image[box]`` is the crop, and ``whole[box] = part`` puts it back.
+
+    Args:
+        region: (H, W) bool.
+        margin: width of the border, as a share of the region's longer side; it ends where the frame ends.
+    """
+    rows, columns = np.nonzero(region)
+    if not rows.size:
+        return slice(0, region.shape[0]), slice(0, region.shape[1])
+    border = int(np.ceil(margin * max(np.ptp(rows) + 1, np.ptp(columns) + 1)))
+    top, left = max(0, int(rows.min()) - border), max(0, int(columns.min()) - border)
+    bottom, right = (min(n, int(i.max()) + 1 + border) for n, i in zip(region.shape, (rows, columns), strict=True))
+    return slice(top, bottom), slice(left, right)
+
+
 def choose_windows(region: np.ndarray, most: int = MOST) -> list[tuple[Window, np.ndarray]]:
     """Choose windows that together cover a region, and say which of its pixels each one paints.
 
@@ -275,34 +302,8 @@ def _home(box: np.ndarray, boxes: list[np.ndarray], shape: tuple[int, int], full
     return int(np.argmin(np.linalg.norm(centres - (box[:2] + box[2:]) / 2, axis=1)))
 
 
-class OnDemand:
-    """A map of a result: an array, or a call that makes it when it is first asked for.
-
-    Most callers want ``depth`` alone, and of a large frame each map takes hundreds of megabytes.
-    """
-
-    def __init__(self, *default: Any):
-        self.default = default
-
-    def __set_name__(self, owner: type, name: str):
-        self.name = name
-
-    def __get__(self, result: Any, owner: type | None = None) -> Any:
-        if result is None and not self.default:
-            raise AttributeError(self.name)  # for dataclass: there is no default
-        if result is None:
-            return self.default[0]
-        held = result.__dict__[self.name]
-        if callable(held):
-            held = result.__dict__[self.name] = held()
-        return held
-
-    def __set__(self, result: Any, value: Any):
-        result.__dict__[self.name] = value
-
-
 @dataclass(frozen=True)
-class Found:
+class Claim:
     """What stage one says of a frame, at the working size.
 
     Attributes:
@@ -407,7 +408,7 @@ class Painting:
         return image
 
     def compose(self, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
-        """Return what ``pipeline.compose`` makes of this, (H, W) float32 metres, with fewer maps in memory."""
+        """Return what ``pipeline.compose`` makes of this, (H, W) float32 metres, with fewer maps in memory at once."""
         out = self.geometric
         for layer in self.close:
             layer.onto(out, "mean", region)
@@ -421,20 +422,60 @@ class Painting:
             layer.onto(out, "spread", region)
         return out
 
-    def expected_error(
-        self, mean: np.ndarray, kept: np.ndarray, region: np.ndarray, found: Found | None, config: StdConfig
-    ) -> np.ndarray:
-        """Return ``metrics.expected_error`` of a composed frame, (H, W) float32 metres.
 
-        Args:
-            mean: (H, W) metres, as composed.
-            kept: (H, W) bool, readings that were not painted.
-            region: (H, W) bool.
-            found: what stage one says; None where the region was given, which leaves no doubt.
-            config: the constants.
-        """
-        doubt = np.zeros_like(mean) if found is None else found.frame.back(found.probability)
-        out = self.spread(region)
-        for rows in strips(mean.shape):
-            out[rows] = expected_error(*(m[rows] for m in (out, mean, kept, region, doubt)), config)
-        return out
+class OnDemand:
+    """A map of a result: an array, or a call that makes it when it is first asked for.
+
+    Most callers want ``depth`` alone, and of a large frame each map takes hundreds of megabytes.
+    """
+
+    def __init__(self, *default: Any):
+        self.default = default
+
+    def __set_name__(self, owner: type, name: str):
+        self.name = name
+
+    def __get__(self, result: Any, owner: type | None = None) -> Any:
+        if result is None and not self.default:
+            raise AttributeError(self.name)  # for dataclass: there is no default
+        if result is None:
+            return self.default[0]
+        held = result.__dict__[self.name]
+        if callable(held):
+            held = result.__dict__[self.name] = held()
+        return held
+
+    def __set__(self, result: Any, value: Any):
+        result.__dict__[self.name] = value
+
+
+@dataclass(frozen=True)
+class Completion:
+    """What ``pipeline.Ditr`` returns; all maps have the size of the input.
+
+    Depth, region and std are there; the other maps are made when they are first asked for.
+
+    Attributes:
+        depth: (H, W) float32 metres, dense.
+        region: (H, W) bool, after refinement (the caller's, if one was given).
+        std: (H, W) float32 metres, the error to expect (one standard deviation), see ``metrics.expected_error``.
+        boundary_rgb, boundary_depth, boundary_da: (H, W) bool, M_RGB, M_D and M_DA.
+        probability: (H, W) float32, stage one's belief before threshold and refinement; None for a given region.
+        optical, geometric: (H, W) float32 metres, each branch's own repainting before composition; the optical branch
+            paints its windows only and shows the geometric one's elsewhere.
+        windows: where the optical branch looked.
+        classes: (H, W) uint8, what stage one claims before refinement: 0 nothing, else the likelier of the classes
+            ``data.TRANSPARENT`` and ``data.REFLECTIVE``; None for a given region.
+    """
+
+    depth: np.ndarray
+    region: np.ndarray
+    std: np.ndarray
+    boundary_rgb: np.ndarray = OnDemand()
+    boundary_depth: np.ndarray = OnDemand()
+    boundary_da: np.ndarray = OnDemand()
+    probability: np.ndarray | None = OnDemand()
+    optical: np.ndarray = OnDemand()
+    geometric: np.ndarray = OnDemand()
+    windows: tuple[Window, ...]
+    classes: np.ndarray | None = OnDemand(None)

@@ -140,3 +140,20 @@ def test_bad_motion_and_depths_are_refused_with_advice():
         reproject(np.ones((120, 160), np.float32), IR, IR, np.eye(3))
     with pytest.raises(ValueError, match="z_near"):
         shadow_width_px(1.0, 0.5, 0.05, 600.0)
+
+
+def test_a_cropped_camera_sees_the_same_points():
+    rng = np.random.default_rng(3)
+    depth = rng.uniform(0.5, 1.5, (IR.height, IR.width)).astype(np.float32)
+    rows, columns = slice(7, 20), slice(11, 30)
+    part = IR.cropped(rows, columns)
+    assert (part.height, part.width) == (13, 19)
+    alone = np.zeros_like(depth)
+    alone[rows, columns] = depth[rows, columns]
+    np.testing.assert_allclose(cam.unproject(depth[rows, columns], part), cam.unproject(alone, IR), rtol=1e-12)
+
+
+@pytest.mark.parametrize("rows", [slice(5, 5), slice(0, 10, 2), slice(9999, None)])
+def test_a_crop_without_pixels_or_with_gaps_is_refused(rows):
+    with pytest.raises(ValueError, match="slices that leave a part"):
+        IR.cropped(rows, slice(None))

@@ -18,7 +18,7 @@ MISSING_ON_WINDOWS = {"resource", "fcntl", "pwd", "grp", "termios", "pty", "sysl
 # OpenCV opens no path with a letter outside the system's code page on Windows: np.fromfile and cv2.imdecode do.
 PATHS_TO_OPENCV = {"imread", "imwrite", "imreadmulti"}
 # What still does: to be taken out here when it is mended there.
-KNOWN = {"00_start_here.ipynb": {"imread"}, "09_your_own_camera.ipynb": {"imwrite"}}
+KNOWN = {"00_start_here.ipynb": {"imread"}}
 
 
 def unportable(source):

@@ -9,8 +9,10 @@ from ditr_lite.windows import (
     MARGIN,
     MOST,
     Window,
+    box_around,
     choose_windows,
     fit_frame,
+    largest_piece,
     level,
     pool_readings,
     square,
@@ -245,3 +247,24 @@ def test_more_things_than_windows_join_the_nearest_one():
 
 def test_no_region_needs_no_window():
     assert choose_windows(np.zeros((30, 40), bool)) == []
+
+
+def test_the_largest_piece_is_found():
+    region = blobs((60, 80), (5, 5, 15, 15), (30, 30, 34, 60))
+    assert (largest_piece(region) == blobs((60, 80), (30, 30, 34, 60))).all()
+    assert not largest_piece(np.zeros((4, 5), bool)).any()
+
+
+def test_a_box_goes_around_the_region_and_ends_with_the_frame():
+    region = blobs((100, 200), (40, 60, 50, 80))  # 10 high, 20 wide: a border of 10 with the margin of one half
+    assert box_around(region) == (slice(30, 60), slice(50, 90))
+    assert box_around(region, margin=0) == (slice(40, 50), slice(60, 80))
+    assert box_around(region, margin=5) == (slice(0, 100), slice(0, 180))
+    assert box_around(np.zeros((30, 40), bool)) == (slice(0, 30), slice(0, 40))
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), margin=st.floats(0, 2))
+def test_no_pixel_of_the_region_is_cut_off(seed, margin):
+    region = np.random.default_rng(seed).random((12, 17)) < 0.05
+    assert region[box_around(region, margin)].sum() == region.sum()

@@ -120,7 +120,7 @@ T6 | done | 04_ddpm_math | Appendix · What the paper's sizes cost
 evaluation.costs.beside_table_vi | evaluation/test_costs.py::test_table_vi_cannot_hold
 latency and GFLOPs at 1280 × 720, per stage
 
-A1 | done | 09_your_own_camera | 10 · Four cameras, one scene
+A1 | done | 09_your_own_camera | 9 · Four cameras, one scene
 simulator.cameras.measure | simulator/test_cameras.py::test_shipped_frames_show_the_signatures
 generalisation without ground truth over four cameras
 
@@ -164,15 +164,15 @@ F9 | done | 06_full_pipeline | Look at it
 viz.grid | viz/test_grids.py::test_compare_draws_every_prediction_and_its_error
 qualitative results beside other methods (ClearGrasp)
 
-F10 | done | 09_your_own_camera | 9 · The public datasets, without a download
+F10 | done | 09_your_own_camera | 10 · The public datasets, without a download
 datasets.TODD | datasets/test_export.py::test_a_round_trip_keeps_all_that_the_format_holds
 qualitative results (TODD); without a download, our frames in its layout
 
-F11 | done | 09_your_own_camera | 9 · The public datasets, without a download
+F11 | done | 09_your_own_camera | 10 · The public datasets, without a download
 datasets.STD | datasets/test_export.py::test_a_round_trip_keeps_all_that_the_format_holds
 qualitative results (STD); likewise
 
-F12 | done | 09_your_own_camera | 10 · Four cameras, one scene
+F12 | done | 09_your_own_camera | 9 · Four cameras, one scene
 datasets.TROSD | datasets/test_datasets.py::test_every_reader
 generalisation on TROSD; our scenes under four simulated cameras
 
@@ -229,7 +229,7 @@ windows.choose_windows | test_windows.py::test_every_pixel_of_a_region_is_painte
 the optical branch looks at a square around each piece of the region, not at the whole frame
 
 N2 | done | 02_region_refinement | Where the paper differs
-region.ColourEncoder | region/test_encoder.py::test_folded_weights_compute_what_convolutions_and_batch_norms_did
+region.ColourEncoder | training/test_pretrained.py::test_folded_weights_compute_what_convolutions_and_batch_norms_did
 colour goes through an encoder that was trained on real pictures, not on rendered ones
 
 N3 | done | 06_full_pipeline | 10 · Decode both branches and sharpen

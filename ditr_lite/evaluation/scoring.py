@@ -124,6 +124,17 @@ def kept_bit_for_bit(out: Completion, depth: np.ndarray) -> bool:
     return np.array_equal(out.depth[keep].view(np.uint32), depth[keep].view(np.uint32))
 
 
+def ranked(methods: Mapping[str, Mapping[str, metrics.Scores | None]], key: str) -> list[str]:
+    """Return the names of dense methods by their RMSE on one pixel set of a frame, the best first, DITR among them.
+
+    Args:
+        methods: name -> pixel set -> scores; the bare sensor, which answers on its readings only, is left out.
+        key: of the pixel set.
+    """
+    scored = {name: row[key]["rmse"] for name, row in methods.items() if name != SENSOR and row and row.get(key)}
+    return sorted(scored, key=scored.get)
+
+
 def summary(results: Sequence[Result], protocol: Protocol | None = None) -> dict[str, Any]:
     """Condense :func:`run_methods`' results; ``protocol`` says how its scores are averaged.
 

@@ -6,7 +6,7 @@ intervals are percentile bootstraps (``scipy.stats.bootstrap``) at 95 %.
 """
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -77,6 +77,22 @@ def verdict(name: str, minus_m: Sequence[float] | None, other: str = "the defaul
     mean, low, high = (1000 * x for x in minus_m)
     said = "a larger error than" if low > 0 else "a smaller error than" if high < 0 else "no measurable difference from"
     return f"{name}: {said} {other} ({mean:+.1f} mm [{low:+.1f}, {high:+.1f}])"
+
+
+def sort_by_verdict(minus_m: Mapping[str, Sequence[float] | None]) -> dict[str, list[str]]:
+    """Return which names have a lower error, which a higher one, and where the interval of the difference holds 0.
+
+    Args:
+        minus_m: name -> (mean, low, high) of the error minus that of what it is compared with; None is left out.
+    """
+    found: dict[str, list[str]] = {"lower": [], "higher": [], "not decided": []}
+    for name, interval in minus_m.items():
+        if interval is None:
+            continue
+        _, low, high = interval
+        side = "lower" if high < 0 else "higher" if low > 0 else "not decided"
+        found[side].append(name)
+    return found
 
 
 def seed_verdict(name: str, a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], other: str) -> str:

@@ -82,6 +82,13 @@ def risk(score: np.ndarray, error: np.ndarray, kept: Sequence[float]) -> np.ndar
     return np.sqrt(running[[max(1, round(share * len(square))) - 1 for share in kept]])
 
 
+def honesty(expected: float, real: float) -> str:
+    """Return in words how an expected error compares with the real one: within a factor of 1.4 it is about right."""
+    if expected * 1.4 < real:
+        return "too sure"
+    return "too unsure" if expected > 1.4 * real else "about right"
+
+
 def gaussian_crps(error: np.ndarray, std: np.ndarray) -> float:
     """Return the mean CRPS of a Gaussian about the prediction, in metres (Gneiting and Raftery 2007, Sec. 4.2)."""
     error, std = _pair(error, std)

@@ -139,7 +139,8 @@ def static(maps: Mapping[str, np.ndarray], rgb: np.ndarray, camera: Camera, max_
     low, high = _limits([points for points, _ in clouds])
     for k, (title, (points, colours)) in enumerate(zip(maps, clouds, strict=True)):
         ax = figure.add_subplot(1, len(maps), k + 1, projection="3d", computed_zorder=False)
-        ax.scatter(*points.T, s=1.5, c=colours / 255.0, linewidths=0, depthshade=False)
+        size = float(np.clip(12_000 / max(len(points), 1), 1.5, 8.0))  # thinned clouds get larger points
+        ax.scatter(*points.T, s=size, c=colours / 255.0, linewidths=0, depthshade=False)
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
         ax.set_box_aspect(np.maximum(high - low, 1e-3), zoom=1.35)
         ax.view_init(elev=20, azim=-35)

@@ -267,3 +267,9 @@ def test_real_cleargrasp_frames_have_one_class(tiny):
     frame = datasets.ClearGrasp(REAL / "cleargrasp_d435")["000000123"]
     (result,) = run_methods([frame], tiny, {}, steps=1, samples_per_frame=1, progress=False)
     assert 0 <= result["stage_one"]["recall_transparent"] <= 1 and result["stage_one"]["iou_reflective"] is None
+
+
+def test_methods_are_ranked_by_their_error_on_one_pixel_set():
+    rows = {"ditr": {"optical": {"rmse": 0.02}}, "raw": {"optical": {"rmse": 0.01}}, "nearest": {"optical": None}}
+    rows |= {"sensor": {"optical": {"rmse": 0.001}}, "refused": {}}
+    assert scoring.ranked(rows, "optical") == ["raw", "ditr"]

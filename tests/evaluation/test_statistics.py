@@ -159,3 +159,8 @@ def test_an_interval_for_a_file_is_rounded_and_none_without_a_complete_image():
     a, b = np.random.default_rng(4).uniform(1, 2, (2, 9)).tolist()
     assert statistics.interval(statistics.ratio_bootstrap, a, b) == list(statistics.ratio_bootstrap(a, b))
     assert statistics.mean_known([1.0, None, 2.0]) == 1.5 and statistics.mean_known([None]) is None
+
+
+def test_differences_are_sorted_by_what_their_intervals_say():
+    rows = {"a": (-2.0, -3.0, -1.0), "b": (1.0, 0.5, 2.0), "c": (0.1, -0.1, 0.2), "d": None}
+    assert statistics.sort_by_verdict(rows) == {"lower": ["a"], "higher": ["b"], "not decided": ["c"]}

@@ -121,3 +121,10 @@ def test_every_pixel_is_painted_by_one_branch_or_kept():
         "geometric": [False, False, True, False],
         "kept": [False, False, False, True],
     }
+
+
+@pytest.mark.parametrize(
+    ("expected", "real", "said"), [(0.01, 0.02, "too sure"), (0.02, 0.01, "too unsure"), (0.01, 0.012, "about right")]
+)
+def test_honesty_in_words(expected, real, said):
+    assert un.honesty(expected, real) == said
