@@ -68,9 +68,10 @@ def read_config(folder: Path | str | None = None) -> Config:
     Raises:
         ValueError: when there is no card, or its configuration cannot be.
     """
+    card = read_card(folder)
     try:
-        return from_dict(read_card(folder)["config"])
-    except (TypeError, AttributeError, KeyError, ZeroDivisionError, OverflowError) as error:
+        return from_dict(card["config"])
+    except (ValueError, TypeError, AttributeError, KeyError, ZeroDivisionError, OverflowError) as error:
         raise ValueError(f"{Path(folder or WEIGHTS) / CARD} is damaged: config is none ({error}); restore it") from None
 
 

@@ -173,3 +173,13 @@ def test_upsampled_depth_holds_every_reading_once_and_nothing_else(h, w, zoom):
     depth = np.arange(1, 1 + h * w, dtype=np.float32).reshape(h, w)
     large = upsample_sparse(depth, (h * zoom, w * zoom))
     assert np.array_equal(large[large > 0], depth.ravel()) and large.shape == (h * zoom, w * zoom)
+
+
+@pytest.mark.parametrize("kind", [torch.int64, torch.float64])
+def test_a_sampler_of_another_type_is_refused_or_converted(parts, kind):
+    own = Ditr(parts, TINY, sampler=lambda predict, shape, *a, **k: torch.zeros(shape, dtype=kind))
+    if kind == torch.int64:
+        with pytest.raises(ValueError, match="sampler: expected latents of floating-point numbers"):
+            own(RGB, DEPTH, REGION, samples=1)
+    else:
+        assert np.isfinite(own(RGB, DEPTH, REGION, samples=1).depth).all()

@@ -249,3 +249,13 @@ def test_the_preset_is_checked_against_the_card(tmp_path):
     assert load_parts(tmp_path)[0] == load_parts(tmp_path, "tiny")[0] == TINY
     with pytest.raises(ValueError, match="only the tiny preset is what .* holds, not 'lite'"):
         load_parts(tmp_path, "lite")
+
+
+def test_a_card_whose_configuration_cannot_be_is_named(tmp_path):
+    save_part("region", {"w": torch.zeros(2)}, preset("tiny"), tmp_path, {})
+    card = json.loads((tmp_path / "card.json").read_text())
+    for group, key, value in (("unet", "width", "wide"), ("region", "levels", 0)):
+        odd = card | {"config": card["config"] | {group: card["config"][group] | {key: value}}}
+        (tmp_path / "card.json").write_text(json.dumps(odd))
+        with pytest.raises(ValueError, match="card.json is damaged"):
+            store.read_config(tmp_path)

@@ -8,6 +8,8 @@ from ditr_lite.windows import (
     LEAST,
     MARGIN,
     MOST,
+    Layer,
+    Painting,
     Window,
     box_around,
     choose_windows,
@@ -268,3 +270,17 @@ def test_a_box_goes_around_the_region_and_ends_with_the_frame():
 def test_no_pixel_of_the_region_is_cut_off(seed, margin):
     region = np.random.default_rng(seed).random((12, 17)) < 0.05
     assert region[box_around(region, margin)].sum() == region.sum()
+
+
+# --- what was painted -------------------------------------------------------------------------------------------------
+
+
+def test_a_painting_is_composed_and_its_spread_is_that_of_who_painted():
+    view, region = fit_frame((4, 6), (4, 6)), np.zeros((4, 6), bool)
+    region[1:3, 1:3] = True
+    depth = np.where(np.arange(6) < 4, 0.7, 0).astype(np.float32) * np.ones((4, 1), np.float32)
+    flat = [np.full((4, 6), v, np.float32) for v in (1.6, 0.04, 0.5, 0.02)]
+    painting = Painting(Layer(*flat[:2], view), (Layer(*flat[2:], view),), None, np.packbits(region, axis=1), ())
+    wanted = np.where(region, np.float32(0.5), np.where(depth > 0, depth, np.float32(1.6)))
+    assert np.array_equal(painting.compose(depth, region), wanted)
+    assert np.array_equal(painting.spread(region), np.where(region, np.float32(0.02), np.float32(0.04)))

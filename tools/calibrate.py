@@ -61,7 +61,7 @@ def collect(ditr: Ditr, samples: list[Sample]) -> dict[str, np.ndarray]:
     for sample in tqdm(samples, desc="completing", unit="frame"):
         out = ditr(sample.rgb, sample.depth)
         known = sample.depth_gt > 0
-        for kind, where in uncertainty.pixel_sets(out.region, sample.depth).items():
+        for kind, where in uncertainty.kinds_of_pixels(out.region, sample.depth).items():
             at = where & known
             columns = (out.depth - sample.depth_gt, out.std, out.depth, out.probability)
             found[kind].append(np.stack([column[at] for column in columns]))

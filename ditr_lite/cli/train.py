@@ -128,6 +128,8 @@ class TrainBoundary:
         val = options.val or SAMPLES / "val"
         check_scenes([options.data], MAKE_TRAIN)
         check_scenes([val], MAKE_VAL)
+        for folder in (options.out, options.work):
+            check_folder(folder, _is_of_training, "weights and checkpoints")
         how = (options.out, options.work, options.limit, options.seed, command_line(options), engine_of(options))
         notes = train_boundary(options.data, val, *how, **changes(options))
         each = (f"{m} F {notes[m]['val_f']:.3f} at threshold {notes[m]['threshold']}" for m in ("rgb", "depth"))

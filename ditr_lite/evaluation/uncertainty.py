@@ -106,7 +106,7 @@ def check_fitted_on(splits: Sequence[str]) -> None:
         raise ValueError(f"{held[0]} is held out: fit on validation scenes, e.g. val rooms_val, and check on it")
 
 
-def pixel_sets(region: np.ndarray, depth: np.ndarray) -> dict[str, np.ndarray]:
+def kinds_of_pixels(region: np.ndarray, depth: np.ndarray) -> dict[str, np.ndarray]:
     """Return which pixels each branch painted and which were kept: "optical", "geometric" and "kept", (H, W) bool.
 
     Args:

@@ -85,3 +85,9 @@ def test_the_guides_of_the_study_differ_only_where_they_should():
     maps = dict(zip(study.TRAINED, study.guides(scenes, only=study.TRAINED)[:, 0], strict=True))
     assert not maps["none"].any() and maps["m_rgb"].any() and maps["exact"].any()
     assert (maps["m_da"] <= maps["m_rgb"]).all()
+
+
+def test_training_writes_into_no_folder_that_holds_something_else(scenes, frame, capsys):
+    argv = ["train-boundary", "--data", str(scenes / "val"), "--val", str(scenes / "val"), "--out", str(frame)]
+    assert main(argv) == 2
+    assert "holds something else than weights and checkpoints, a.png" in capsys.readouterr().err

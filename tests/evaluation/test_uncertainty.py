@@ -115,7 +115,7 @@ def test_nothing_is_fitted_on_a_test_split():
 
 def test_every_pixel_is_painted_by_one_branch_or_kept():
     region = np.array([[True, True, False, False]])
-    sets = un.pixel_sets(region, np.array([[0.0, 0.7, 0.0, 0.7]]))
+    sets = un.kinds_of_pixels(region, np.array([[0.0, 0.7, 0.0, 0.7]]))
     assert {k: v[0].tolist() for k, v in sets.items()} == {
         "optical": [True, True, False, False],
         "geometric": [False, False, True, False],
