@@ -181,14 +181,17 @@ def fit_frame(source: tuple[int, int], size: tuple[int, int]) -> Frame:
     return Frame(source, height, width, size)
 
 
-def fill(depth_n: Tensor, known: Tensor) -> Tensor:
-    """Fill unknown pixels with averages of known ones, from the nearest coarser scale that has any (push-pull).
+def fill(depth_n: Tensor, known: Tensor, rounds: int = 4) -> Tensor:
+    """Fill unknown pixels smoothly: from the nearest coarser scale that knows any (push-pull), relaxed at every scale.
 
-    Only a start for the encoder, cheap and dense; the branches repaint it.
+    Only a start for the encoder, cheap and dense; the branches repaint it. Each round replaces an unknown pixel by the
+    mean of its four neighbours, so that many rounds would solve Laplace's equation; because the coarse scales come
+    first, few are enough.
 
     Args:
         depth_n: (B, 1, H, W) normalised depth.
         known: (B, 1, H, W) 0/1.
+        rounds: of relaxation at every scale.
 
     Returns:
         (B, 1, H, W), equal to ``depth_n`` where known; 0 everywhere when nothing is known.
@@ -197,9 +200,15 @@ def fill(depth_n: Tensor, known: Tensor) -> Tensor:
         return depth_n * known
     share = F.avg_pool2d(known, 2, ceil_mode=True, count_include_pad=False)
     mean = F.avg_pool2d(depth_n * known, 2, ceil_mode=True, count_include_pad=False) / share.clamp(min=1e-6)
-    coarse = fill(mean, (share > 0).to(known.dtype))
+    coarse = fill(mean, (share > 0).to(known.dtype), rounds)
     fine = F.interpolate(coarse, size=depth_n.shape[2:], mode="bilinear", align_corners=False)
-    return torch.where(known > 0, depth_n, fine)
+    filled = torch.where(known > 0, depth_n, fine)
+    for _ in range(rounds):
+        padded = F.pad(filled, (1, 1, 1, 1), mode="replicate")
+        vertical = padded[:, :, :-2, 1:-1] + padded[:, :, 2:, 1:-1]
+        horizontal = padded[:, :, 1:-1, :-2] + padded[:, :, 1:-1, 2:]
+        filled = torch.where(known > 0, depth_n, (vertical + horizontal) / 4)
+    return filled
 
 
 def pool_readings(small: np.ndarray, image: np.ndarray) -> None:
