@@ -11,7 +11,7 @@ import numpy as np
 
 from ..region import IGNORE
 from ..windows import LEAST, MARGIN
-from .augment import colours
+from .augment import colours, glare
 from .scenes import Scenes
 
 
@@ -179,6 +179,9 @@ def disturb(view: View, rng: np.random.Generator) -> View:
     """Vary the colours and lose, thin out or spoil readings as cameras and mountings do."""
     rgb = colours(view.rgb, rng)
     depth = lose(view.depth, rng)
+    if rng.random() < 0.15:
+        rgb, blinded = glare(rgb, rng)
+        depth = np.where(blinded, 0, depth).astype(np.float32)
     if rng.random() < 0.2:
         depth = spoil(depth, rng)
     if rng.random() < 0.06:
