@@ -10,7 +10,7 @@ from torch import Tensor
 from ..boundary import M_DA, M_RGB, Backend, boundary_maps
 from ..conditioning import Bounds, depth_bounds, to_tensor, without_strays
 from .scenes import Pool, Scenes
-from .views import View, disturb, frame_view, window_view
+from .views import View, disturb, frame_view, mix, window_view
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,7 @@ def draw_frames(
     rng: np.random.Generator,
     backend: Backend | None = None,
     still: bool = False,
+    mixed: float = 0.0,
 ) -> Batch:
     """Draw whole frames, moved, turned and disturbed.
 
@@ -101,8 +102,15 @@ def draw_frames(
         rng: everything random comes from it, so a step can be drawn again when training resumes.
         backend: finds the guides; None leaves them out.
         still: do not move or turn them.
+        mixed: share of the frames of which a part is replaced by another.
     """
-    return batch_of([disturb(frame_view(*pool.pick(rng), size, rng, still), rng) for _ in range(count)], backend)
+    views = []
+    for _ in range(count):
+        view = frame_view(*pool.pick(rng), size, rng, still)
+        if mixed and rng.random() < mixed:
+            view = mix(view, frame_view(*pool.pick(rng), size, rng, still), rng)
+        views.append(disturb(view, rng))
+    return batch_of(views, backend)
 
 
 def draw_windows(pool: Pool, count: int, side: int, rng: np.random.Generator, backend: Backend | None = None) -> Batch:

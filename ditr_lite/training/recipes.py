@@ -27,6 +27,7 @@ from .scenes import Pool
 CLASS_WEIGHTS = (0.4, 1.0, 1.0)  # background, transparent, reflective
 FROZEN_STAGES = 2  # of the pretrained encoder, in stage one: what edges look like is known, and these cost most
 STILL, STILL_SHARE = 0.25, 0.7  # last part of stage one's training, and the share of its batches, in which frames stay
+MIXED_SHARE = 0.4  # of stage one's frames, before that, in which two scenes are mixed: scenes are few
 CROP = 64  # pixels a side that the autoencoder sees: it is convolutional
 LAST_STEP_SHARE = 0.5  # of a batch is noised fully: one-step sampling begins, and ends, there
 StepLoss = Callable[[int], dict[str, Tensor]]
@@ -56,7 +57,8 @@ def region_step(model: nn.Module, pool: Pool, config: Config, recipe: Recipe, se
     def step_loss(step: int) -> dict[str, Tensor]:
         rng = rng_of(seed, step)
         still = step >= (1 - STILL) * recipe.steps and rng.random() < STILL_SHARE
-        batch = draw_frames(pool, recipe.batch, config.size, rng, still=still)
+        mixed = 0.0 if still else MIXED_SHARE
+        batch = draw_frames(pool, recipe.batch, config.size, rng, still=still, mixed=mixed)
         return region_loss(model(cl(batch.rgb), batch.depth_n, batch.valid), batch.material, weight)
 
     return step_loss
