@@ -15,7 +15,7 @@ ARG TORCH_INDEX=https://download.pytorch.org/whl/cpu
 RUN useradd --create-home --uid 1000 learner
 WORKDIR /home/learner/ditr_lite
 RUN chown learner:learner .
-USER learner
+USER 1000
 ENV PATH=/home/learner/venv/bin:$PATH OMP_NUM_THREADS=2 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_CACHE_DIR=1
 
 # The packages before the code: a change of the code does not install them again.

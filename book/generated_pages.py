@@ -20,6 +20,7 @@ from equation_map import Part, parts, slug
 import ditr_lite
 
 LINK = re.compile(r"\[([^\]]+)\]\(([^)#\s]+)\)")
+FIRST_ROOM = "datasets"  # in the package's list; what stands before it is the core
 PAGES = {"data_samples/README.md": "data_card.md", "PAPER_MAP.md": "equation_map.md"}
 
 
@@ -122,8 +123,8 @@ def folder(module: str) -> Path:
 
 
 def core() -> list[str]:
-    """Return the modules of the core, in the package's own order: the top names that are no rooms."""
-    return [name for name in ditr_lite.MODULES if name == "boundary" or not folder(name).is_dir()]
+    """Return the modules of the core, in the package's own order: all that stand before the first room."""
+    return list(ditr_lite.MODULES[: ditr_lite.MODULES.index(FIRST_ROOM)])
 
 
 def rooms() -> list[str]:

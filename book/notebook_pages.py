@@ -26,6 +26,7 @@ PAGES = {
     "../data_samples/README.md": "../data_card.md",
     "../CHANGELOG.md": "../changelog.md",
 }
+TERM = re.compile(r"^(?! |```|#)(.+)\n  \S", re.MULTILINE)  # a line of the glossary with its meaning beneath it
 LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
@@ -39,8 +40,19 @@ def _student_copy() -> ModuleType:
 students = _student_copy()
 
 
+def glossary_terms() -> dict[str, str]:
+    """Return anchor -> term of the glossary, the anchors as Sphinx makes them."""
+    found = TERM.findall((ROOT / "book" / "glossary.md").read_text(encoding="utf-8"))
+    return {"#term-" + re.sub(r"[^A-Za-z0-9._]+", "-", term).strip("-"): term for term in found}
+
+
 def book_links(text: str) -> str:
-    """Return Markdown of the notebooks' folder with links that hold in the book; others become their words."""
+    """Return Markdown of the notebooks' folder with links that hold in the book; others become their words.
+
+    Raises:
+        ValueError: for a link to a term that the glossary does not have.
+    """
+    terms = glossary_terms()
 
     def link(match: re.Match) -> str:
         words, target, anchor = match[1], match[2], match[3] or ""
@@ -48,6 +60,10 @@ def book_links(text: str) -> str:
             return match[0]
         if target in PAGES:
             return f"[{words}]({PAGES[target]}{anchor})"
+        if target == "../book/glossary.md" and anchor:
+            if anchor not in terms:
+                raise ValueError(f"{match[0]}: the glossary has no such term; its anchors are {', '.join(terms)}")
+            return f"{{term}}`{words} <{terms[anchor]}>`"  # Markdown cannot point at a term, a role can
         if re.fullmatch(r"\.\./book/\w+\.md", target):
             return f"[{words}](../{target.split('/')[-1]}{anchor})"
         return words

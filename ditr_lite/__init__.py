@@ -5,7 +5,7 @@ Everything is loaded on first use, so the import itself costs nothing: ``dl.load
 
     what everything stands on   units config camera files data store
     why depth is missing        loss_types: Type I and Type II, the paper's partition
-    the way into a network      conditioning: depth to tensors and back, bounds, frames; windows
+    the way into a network      conditioning: depth to tensors and back, bounds; windows: whole frames and parts
     stage one                   region/: network, loss, refinement; its pretrained encoder of colour
     the guides                  boundary/: maps, truth, backends
     stage two                   autoencoder schedule diffusion unet detail; stage_two: all of it, in five steps

@@ -4,10 +4,8 @@ Paper: Sec. III (calibration) and IV-C. The paper leaves open how raw depth reac
 inpainting's: the encoded known depth and a mask are concatenated to L_t, everything else enters through F(x).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -15,7 +13,6 @@ from torch import Tensor
 
 CHANNELS = ("red", "green", "blue", "boundary", "filled", "known", "region", "evidence", "trusted")  # of F(x)'s input
 SPREADS = (0.12, 0.6)  # least and largest half range of a frame, as a ratio of distances: exp(0.12) is 13 per cent
-STRAY_RATIO = 1.25  # a reading that differs from nearly all its neighbours by this factor belongs to no surface
 
 
 @dataclass(frozen=True)
@@ -84,103 +81,6 @@ def depth_bounds(depth: np.ndarray, about: np.ndarray | None = None) -> Bounds:
     return Bounds(float(np.exp(middle - 1.25 * half)), float(np.exp(middle + half)))
 
 
-def strays(depth: np.ndarray, window: int = 5) -> np.ndarray:
-    """Find readings that belong to no surface: most readings around them differ by more than :data:`STRAY_RATIO`.
-
-    They are hidden from the networks and given back in the end. A reading with few others around it cannot be judged,
-    so sparse depth has no strays.
-
-    Args:
-        depth: (H, W) metres, 0 = missing.
-        window: side of the neighbourhood in pixels, odd.
-
-    Returns:
-        (H, W) bool.
-    """
-    valid = depth > 0
-    logs = np.log(np.where(valid, depth, 1.0)).astype(np.float32)
-    padded = np.pad(np.where(valid, logs, np.nan), window // 2, constant_values=np.nan)
-    alike = np.zeros(depth.shape, np.int16)
-    read = np.zeros(depth.shape, np.int16)
-    for dy in range(window):
-        for dx in range(window):
-            other = padded[dy : dy + depth.shape[0], dx : dx + depth.shape[1]]
-            alike += np.abs(other - logs) < np.log(STRAY_RATIO)  # False for NaN
-            read += ~np.isnan(other)
-    enough = read > window * window // 3
-    return valid & enough & (alike - 1 < 0.2 * read)
-
-
-@dataclass(frozen=True)
-class Frame:
-    """How an image lies in the working size: scaled to (``height``, ``width``), then padded right and below."""
-
-    source: tuple[int, int]
-    height: int
-    width: int
-    size: tuple[int, int]
-
-    def into(self, image: np.ndarray) -> np.ndarray:
-        """Bring an image to the working size: colour by area, depth and masks by nearest; padding is 0 (missing).
-
-        Of depth, a cell whose nearest reading is missing takes the one that lies closest to its centre, if it holds
-        any: sparse or line-wise readings survive.
-        """
-        method = cv2.INTER_NEAREST
-        if image.ndim == 3:
-            method = cv2.INTER_AREA if self.height < self.source[0] else cv2.INTER_LINEAR
-        kind = np.uint8 if image.dtype == bool else image.dtype
-        small = cv2.resize(image.astype(kind), (self.width, self.height), interpolation=method)
-        if image.ndim == 2 and np.issubdtype(image.dtype, np.floating):
-            pool_readings(small, image)
-        return np.pad(small, self.padding + ((0, 0),) * (image.ndim - 2)).astype(image.dtype)
-
-    @property
-    def padding(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Rows before and after, columns before and after the image."""
-        return (0, self.size[0] - self.height), (0, self.size[1] - self.width)
-
-    @property
-    def picture(self) -> np.ndarray:
-        """(H, W) bool at the working size, False in the padding."""
-        return np.pad(np.ones((self.height, self.width), bool), self.padding)
-
-    def on_picture(self, find: Callable[..., tuple], *images: np.ndarray, **settings) -> tuple[np.ndarray, ...]:
-        """Call ``find`` with images less their padding, whose edge it would take for a boundary; pad what it returns.
-
-        Args:
-            find: of images (h, w, ...) and ``settings``; returns maps (h, w).
-            images: at the working size.
-            settings: passed on.
-
-        Returns:
-            the maps at the working size, 0 in the padding.
-        """
-        found = find(*(image[: self.height, : self.width] for image in images), **settings)
-        return tuple(np.pad(m, self.padding) for m in found)
-
-    def back(self, image: np.ndarray) -> np.ndarray:
-        """Bring a map (H, W) back from the working size: masks by nearest, depth smoothly but not over edges."""
-        size = (self.source[1], self.source[0])
-        image = image[: self.height, : self.width]
-        if image.dtype == bool:
-            return cv2.resize(image.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
-        nearest = cv2.resize(image, size, interpolation=cv2.INTER_NEAREST)
-        if size == (self.width, self.height):
-            return nearest
-        smooth = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
-        edge = np.abs(smooth - nearest) > 0.01 * np.abs(nearest)  # averaging over a jump would make flying pixels
-        np.copyto(smooth, nearest, where=edge)
-        return smooth
-
-
-def fit_frame(source: tuple[int, int], size: tuple[int, int]) -> Frame:
-    """Return the :class:`Frame` that puts an image of (H, W) ``source`` into ``size``, keeping its aspect."""
-    scale = min(size[0] / source[0], size[1] / source[1])
-    height, width = (max(1, min(limit, round(length * scale))) for length, limit in zip(source, size, strict=True))
-    return Frame(source, height, width, size)
-
-
 def fill(depth_n: Tensor, known: Tensor, rounds: int = 4) -> Tensor:
     """Fill unknown pixels smoothly: from the nearest coarser scale that knows any (push-pull), relaxed at every scale.
 
@@ -209,51 +109,6 @@ def fill(depth_n: Tensor, known: Tensor, rounds: int = 4) -> Tensor:
         horizontal = padded[:, :, 1:-1, :-2] + padded[:, :, 1:-1, 2:]
         filled = torch.where(known > 0, depth_n, (vertical + horizontal) / 4)
     return filled
-
-
-def pool_readings(small: np.ndarray, image: np.ndarray) -> None:
-    """Give every cell of ``small`` (h, w) that is 0 the reading of ``image`` (H, W) that is closest to its centre.
-
-    In place; a cell without any reading stays 0. Nothing happens where ``small`` is not smaller.
-    """
-    scale = np.array(small.shape) / image.shape
-    if scale.min() >= 1:
-        return
-    rows, columns = ((np.arange(n) + 0.5) * s for n, s in zip(image.shape, scale, strict=True))
-    y, x = np.minimum(rows.astype(int), small.shape[0] - 1), np.minimum(columns.astype(int), small.shape[1] - 1)
-    wanted = (image > 0) & (small == 0)[y[:, None], x[None]]
-    v, u = np.nonzero(wanted)
-    if v.size == 0:
-        return
-    away = (rows[v] - y[v] - 0.5) ** 2 + (columns[u] - x[u] - 0.5) ** 2
-    order = np.argsort(-away, kind="stable")  # the closest is written last
-    small[y[v[order]], x[u[order]]] = image[v[order], u[order]]
-
-
-def without_strays(depth: np.ndarray) -> np.ndarray:
-    """Return depth (H, W) in metres as the networks see it: without its :func:`strays`, unless it has nothing else."""
-    left = np.where(strays(depth), 0, depth).astype(np.float32)
-    return left if left.any() else depth.astype(np.float32)
-
-
-def tie(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
-    """Draw a painting towards the readings around its holes: what they differ by is spread into the holes.
-
-    The working size is smaller than a camera's picture; this gives a filled hole the level of its rim at full size.
-    By ratios, so that distance does not matter.
-
-    Args:
-        painted: (H, W) metres, dense.
-        depth: (H, W) raw metres, 0 = missing.
-        region: (H, W) bool, whose readings do not count.
-
-    Returns:
-        (H, W) float32 metres, equal to ``depth`` where a reading counts.
-    """
-    known = (depth > 0) & ~region
-    difference = np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0))
-    maps = [torch.from_numpy(m.astype(np.float32))[None, None] for m in (difference, known)]
-    return (painted * np.exp(fill(*maps)[0, 0].numpy())).astype(np.float32)
 
 
 def depth_tensors(depth: np.ndarray, bounds: Bounds) -> tuple[Tensor, Tensor]:

@@ -118,7 +118,8 @@ def loss(
     signal, noise = levels(t, schedule, x0=x0, model_output=model_output, eps=eps)
     check_prediction(prediction)
     target = {"eps": eps, "x0": x0, "v": signal * eps - noise * x0}[prediction]
-    m = (torch.ones_like(x0) if mask is None else mask.to(x0).expand_as(x0)).reshape(len(t), -1)  # (B, N)
+    m = torch.ones_like(x0) if mask is None else mask.to(x0).expand_as(x0)
+    m = m.reshape(len(t), -1)  # (B, ...) -> (B, N)
     squared = ((target - model_output) ** 2).reshape(len(t), -1)  # (B, ...) -> (B, N)
     each = (m * squared).sum(1) / m.sum(1).clamp(min=1e-8)  # (B,)
     if weight is None:
@@ -137,7 +138,8 @@ def posterior_mean_variance(x0: Tensor, x_t: Tensor, t: Tensor, schedule: NoiseS
     DDPM Eq. 6 and 7, with abar_prev = 1 at t = 0, so that the last step returns x0 with variance exactly 0.
     """
     levels(t, schedule, x_t=x_t, x0=x0)  # checks
-    abar, abar_prev = schedule.alpha_bar(t, x_t.ndim), schedule.alpha_bar(t - 1, x_t.ndim)  # (B, 1, ..., 1) float64
+    abar = schedule.alpha_bar(t, x_t.ndim)  # (B, 1, ..., 1) float64
+    abar_prev = schedule.alpha_bar(t - 1, x_t.ndim)
     beta = 1 - abar / abar_prev
     on_x0 = abar_prev.sqrt() * beta / (1 - abar)
     on_x_t = (1 - beta).sqrt() * (1 - abar_prev) / (1 - abar)
@@ -178,7 +180,8 @@ def ddim_step(
     check_steps(t_prev, schedule.timesteps, lowest=-1)
     if t_prev.shape != t.shape or not bool((t_prev < t).all()):
         raise ValueError("t_prev: expected one earlier step for each t; steps run from T - 1 down to -1 (clean)")
-    abar, abar_prev = schedule.alpha_bar(t, x_t.ndim), schedule.alpha_bar(t_prev, x_t.ndim)  # (B, 1, ..., 1) float64
+    abar = schedule.alpha_bar(t, x_t.ndim)  # (B, 1, ..., 1) float64
+    abar_prev = schedule.alpha_bar(t_prev, x_t.ndim)
     sigma = eta * ((1 - abar_prev) / (1 - abar) * (1 - abar / abar_prev)).sqrt()
     toward_x_t = (1 - abar_prev - sigma**2).clamp(min=0).sqrt()  # clamp: rounding may leave -1e-17
     x_prev = abar_prev.sqrt().to(x_t) * pred_x0 + toward_x_t.to(x_t) * pred_eps
@@ -229,9 +232,11 @@ def sample(
     x = _randn(torch.empty(*shape), generator) if x_T is None else x_T
     ts = timesteps_for(schedule, steps)
     for i, (t, t_prev) in enumerate(zip(ts, [*ts[1:], -1], strict=True)):
-        t_batch, prev_batch = (torch.full((len(x),), k, dtype=torch.long, device=x.device) for k in (t, t_prev))
+        t_batch = torch.full((len(x),), t, dtype=torch.long, device=x.device)  # (B,)
+        prev_batch = torch.full_like(t_batch, t_prev)
         pred_x0 = to_x0(denoise_fn(x, t_batch), x, t_batch, schedule, prediction)
-        pred_x0 = pred_x0 if clip_x0 is None else pred_x0.clamp(-clip_x0, clip_x0)
+        if clip_x0 is not None:
+            pred_x0 = pred_x0.clamp(-clip_x0, clip_x0)
         x = ddim_step(x, t_batch, prev_batch, pred_x0, schedule, eta, generator)
         if callback is not None:
             callback(i, t, x, pred_x0)

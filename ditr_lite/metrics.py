@@ -2,13 +2,14 @@
 
 Depth is in metres. Ground truth of 0 means unknown and is never scored. Shares are in per cent, REL is a plain ratio.
 The printed formulas (Paper: Sec. III, Eq. 4-6) divide by H x W; like the paper's experiments, and everybody else's,
-these divide by the number of pixels that have ground truth.
+these divide by the number of pixels that have ground truth. :func:`expected_error` is what to state without any.
 """
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from .config import StdConfig
 from .units import check_depth, check_mask
 
 SETS = ("whole", "optical", "optical_valid", "geometric", "outside")
@@ -24,6 +25,7 @@ __all__ = [
     "crps",
     "delta",
     "evaluate",
+    "expected_error",
     "format_table",
     "iou",
     "mae",
@@ -301,3 +303,36 @@ def _average(scores: list[Scores]) -> dict | None:
     pooled["rmse"] = float(np.sqrt(n @ columns["rmse"] ** 2 / total))
     means = {m: float(values.mean()) for m, values in columns.items()}
     return means | {"n": int(n.sum()), "images": len(scores), "pooled": pooled}
+
+
+def expected_error(
+    spread: np.ndarray,
+    depth: np.ndarray,
+    kept: np.ndarray,
+    region: np.ndarray,
+    doubt: np.ndarray,
+    config: StdConfig,
+) -> np.ndarray:
+    """Return the error to expect: the spread of samples, scaled, and what no spread shows.
+
+    Samples of one denoiser agree where it has learnt to be wrong: their spread alone understates the error. Per branch
+    sqrt((base * depth)^2 + (factor * spread)^2). A reading that was kept is as good as the sensor, unless stage one
+    has missed glass: sqrt((kept * depth)^2 + p (missed * depth)^2), p being its probability of glass. The constants
+    are fitted on validation scenes by ``tools/calibrate.py``.
+
+    Args:
+        spread: (H, W) metres, standard deviation over samples; 0 of a single one.
+        depth: (H, W) metres, their mean.
+        kept: (H, W) bool, pixels that were not painted.
+        region: (H, W) bool, painted by the optical branch.
+        doubt: (H, W) in [0, 1], stage one's probability of glass; 0 where the region was given.
+        config: the constants.
+
+    Returns:
+        (H, W) float32 metres.
+    """
+    share = np.where(region, *config.base)
+    times = np.where(region, *config.factor)
+    painted = np.hypot(share * depth, times * spread)
+    left = depth * np.sqrt(config.kept**2 + doubt * config.missed**2)
+    return np.where(kept, left, painted).astype(np.float32)

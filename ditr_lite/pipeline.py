@@ -12,30 +12,18 @@ from torch import Tensor, nn
 
 from . import diffusion
 from .autoencoder import VQAutoencoder
-from .boundary import M_D, M_DA, M_RGB, Backend, boundary_maps, get_backend
-from .conditioning import (
-    CHANNELS,
-    Bounds,
-    Frame,
-    depth_bounds,
-    depth_tensors,
-    fit_frame,
-    tie,
-    to_tensor,
-    without_strays,
-)
-from .config import Config, RefineConfig, StdConfig
+from .boundary import M_D, M_DA, M_RGB, Backend, boundary_maps, get_backend, own_backend
+from .conditioning import CHANNELS, Bounds, depth_bounds, depth_tensors, to_tensor
+from .config import Config, RefineConfig
 from .detail import DetailNet
+from .metrics import expected_error
 from .region import ColourEncoder, RegionNet, refine_region
 from .schedule import make_schedule
 from .stage_two import BRANCHES, Painter, Plan, Sampler, Views, paint
 from .store import load_parts
 from .unet import DenoisingUNet
-from .units import check_unit, clean_depth
-from .windows import Window, choose_windows
-
-MAX_SAMPLES = 256  # draws of one frame: more would not fit into memory, and their mean would not change
-MAX_SEED = 2**63 - 1
+from .units import MAX_SEED, check_count, check_inputs, without_strays
+from .windows import Frame, Window, choose_windows, fit_frame, tie
 
 
 @dataclass(frozen=True)
@@ -45,7 +33,7 @@ class Completion:
     Attributes:
         depth: (H, W) float32 metres, dense.
         region: (H, W) bool, after refinement (the caller's, if one was given).
-        std: (H, W) float32 metres, the error to expect (one standard deviation), see :func:`expected_error`.
+        std: (H, W) float32 metres, the error to expect (one standard deviation), see ``metrics.expected_error``.
         boundary_rgb, boundary_depth, boundary_da: (H, W) bool, M_RGB, M_D and M_DA.
         probability: (H, W) float32, stage one's belief before threshold and refinement; None for a given region.
         optical, geometric: (H, W) float32 metres, each branch's own repainting before composition; the optical branch
@@ -80,104 +68,6 @@ def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, regio
     return np.where(region, optical, np.where(depth > 0, depth, geometric)).astype(np.float32)
 
 
-def expected_error(
-    spread: np.ndarray,
-    depth: np.ndarray,
-    kept: np.ndarray,
-    region: np.ndarray,
-    doubt: np.ndarray,
-    config: StdConfig,
-) -> np.ndarray:
-    """Return the error to expect: the spread of samples, scaled, and what no spread shows.
-
-    Samples of one denoiser agree where it has learnt to be wrong: their spread alone understates the error. Per branch
-    sqrt((base * depth)^2 + (factor * spread)^2). A reading that was kept is as good as the sensor, unless stage one
-    has missed glass: sqrt((kept * depth)^2 + p (missed * depth)^2), p being its probability of glass. The constants
-    are fitted on validation scenes by ``tools/calibrate.py``.
-
-    Args:
-        spread: (H, W) metres, standard deviation over samples; 0 of a single one.
-        depth: (H, W) metres, their mean.
-        kept: (H, W) bool, pixels that were not painted.
-        region: (H, W) bool, painted by the optical branch.
-        doubt: (H, W) in [0, 1], stage one's probability of glass; 0 where the region was given.
-        config: the constants.
-
-    Returns:
-        (H, W) float32 metres.
-    """
-    share = np.where(region, *config.base)
-    times = np.where(region, *config.factor)
-    painted = np.hypot(share * depth, times * spread)
-    left = depth * np.sqrt(config.kept**2 + doubt * config.missed**2)
-    return np.where(kept, left, painted).astype(np.float32)
-
-
-def check_inputs(
-    rgb: np.ndarray, depth: np.ndarray, region: np.ndarray | None, samples: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Check a frame and return it as arrays: its image, its depth as clean float32 metres, its region or None.
-
-    Args:
-        rgb: (H, W, 3) uint8.
-        depth: (H, W) float metres; NaN, infinite, negative and absurd readings become 0, missing, as do masked pixels
-            of a NumPy masked array.
-        region: (H, W) bool, or None.
-        samples: 1 to :data:`MAX_SAMPLES`.
-
-    Raises:
-        ValueError: naming what was expected, what came, and what to do.
-    """
-    rgb = _array("rgb", rgb)
-    depth = _array("depth", depth)
-    if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
-        raise ValueError(
-            f"rgb: expected (H, W, 3) uint8, got {rgb.shape} {rgb.dtype}; convert grey or RGBA images to RGB"
-        )
-    if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
-        raise ValueError(
-            f"depth: expected (H, W) float metres, got {depth.shape} {depth.dtype}; divide millimetres by 1000"
-        )
-    if rgb.shape[:2] != depth.shape:
-        raise ValueError(f"rgb is {rgb.shape[:2]} and depth {depth.shape}: align depth to the RGB image first")
-    if not depth.size:
-        raise ValueError(f"depth: expected at least one pixel, got {depth.shape}")
-    region = None if region is None else _array("region", region)
-    if region is not None and (region.shape != depth.shape or region.dtype != bool):
-        raise ValueError(f"region: expected {depth.shape} bool, got {region.shape} {region.dtype}")
-    check_count("samples", samples, 1, MAX_SAMPLES)
-    check_unit("depth", depth)
-    depth = clean_depth(depth)
-    if not (depth > 0).any():
-        raise ValueError(
-            "depth holds no reading (all pixels are 0, negative or not finite); completion needs some depth"
-        )
-    return rgb, depth, region
-
-
-def check_count(name: str, value: int, low: int, high: int) -> int:
-    """Return a whole number, NumPy's too, as Python's after checking its limits.
-
-    Raises:
-        ValueError: for another kind of number, or one beyond the limits.
-    """
-    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
-        raise ValueError(f"{name}: expected a whole number, got {value!r}")
-    if value < low:
-        raise ValueError(f"{name}: expected at least {low}, got {value}")
-    if value > high:
-        raise ValueError(f"{name}: expected at most {high}, got {value}")
-    return int(value)
-
-
-def _array(name: str, given: np.ndarray) -> np.ndarray:
-    """Return what a caller gave as a plain array, masked pixels as 0."""
-    try:
-        return np.asarray(np.ma.filled(given, 0) if isinstance(given, np.ma.MaskedArray) else given)
-    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, tensors of a GPU or with gradients
-        raise ValueError(f"{name}: expected a NumPy array, got {type(given).__name__} ({error})") from None
-
-
 def build(config: Config) -> nn.ModuleDict:
     """Return the untrained networks of a configuration, by the names of their weight files."""
     latent = config.autoencoder.latent_channels
@@ -210,20 +100,6 @@ class Painting:
     optical_spread: np.ndarray
     geometric_spread: np.ndarray
     windows: tuple[Window, ...]
-
-
-def own_backend(backend: Backend) -> Backend:
-    """Return a caller's boundary backend with a ValueError for anything but a map (h, w) bool of its picture's size."""
-
-    def call(image: np.ndarray) -> np.ndarray:
-        found = np.asarray(backend(image))
-        if found.shape != image.shape[:2] or found.dtype != bool:
-            raise ValueError(
-                f"boundary: expected {image.shape[:2]} bool of a picture {image.shape}, got {found.shape} {found.dtype}"
-            )
-        return found
-
-    return call
 
 
 def own_sampler(sampler: Sampler) -> Sampler:
@@ -500,14 +376,14 @@ class Ditr:
             bounds = depth_bounds(depth, ~region if around else None)
             depth_n, valid = depth_tensors(depth, bounds)
             maps = boundary_maps(rgb, depth, self.backend)
-            empty = np.zeros_like(region)
-            masks = [region, empty if guide is None else maps[guide], maps[M_RGB]]
-            masks = [torch.from_numpy(mask)[None, None].float() for mask in masks]  # (1, 1, h, w) each
+            guiding = np.zeros_like(region) if guide is None else maps[guide]
+            masks = [torch.from_numpy(m)[None, None].float() for m in (region, guiding, maps[M_RGB])]  # (1, 1, h, w)
             rows.append((to_tensor(rgb[None]), depth_n, valid, *masks))
             lows.append(bounds.low)
             highs.append(bounds.high)
         columns = (torch.cat(column) for column in zip(*rows, strict=True))
-        low, high = (torch.tensor(v, dtype=torch.float32).view(-1, 1, 1, 1) for v in (lows, highs))
+        low = torch.tensor(lows, dtype=torch.float32).view(-1, 1, 1, 1)
+        high = torch.tensor(highs, dtype=torch.float32).view(-1, 1, 1, 1)
         return Views(*self._put(*columns)), Bounds(low, high)
 
     def painter(self, branch: str, plan: Plan = Plan()) -> Painter:  # noqa: B008  frozen

@@ -159,8 +159,8 @@ def levels(t: Tensor, schedule: NoiseSchedule, **data: Tensor) -> tuple[Tensor, 
         raise ValueError(f"{first}: expected floating ({len(t)}, ...), one entry per t, got {got}")
     for name, x in data.items():
         if x.shape != ref.shape or x.dtype != ref.dtype:
-            expected, got = (f"{y.dtype} {tuple(y.shape)}" for y in (ref, x))
-            raise ValueError(f"{name}: expected {expected} like {first}, got {got}")
+            expected = f"{ref.dtype} {tuple(ref.shape)}"
+            raise ValueError(f"{name}: expected {expected} like {first}, got {x.dtype} {tuple(x.shape)}")
     return schedule.signal_noise(t, ref)
 
 
@@ -193,21 +193,13 @@ def make_schedule(config: ScheduleConfig | None = None) -> NoiseSchedule:
 
 
 def eq8_weight(schedule: NoiseSchedule, prediction: str) -> Tensor:
-    """Return the weight per step, float64 (T,), that makes a squared error on ``prediction`` equal to Eq. 8."""
-    return min_snr_weight(schedule, prediction, gamma=math.inf)
+    """Return the weight per step, float64 (T,), that makes a squared error on ``prediction`` equal to Eq. 8.
 
-
-def min_snr_weight(schedule: NoiseSchedule, prediction: str, gamma: float = 5.0) -> Tensor:
-    """Return the min-SNR weight (Hang et al. 2023), float64 (T,): Eq. 8, its weight on x0 capped at ``gamma``.
-
-    Eq. 8 weighs errors of x0 by SNR_t, which is in the hundreds at small t, where there is hardly anything to learn.
+    On x0 it is SNR_t, which is in the hundreds at small t, where there is hardly anything to learn.
 
     Raises:
-        ValueError: for an unknown prediction or a ``gamma`` that is not positive.
+        ValueError: for an unknown prediction.
     """
     check_prediction(prediction)
-    if not gamma > 0:
-        raise ValueError(f"gamma: expected a positive number, got {gamma}")
     snr = schedule.snr()
-    on_x0 = snr.clamp(max=gamma)
-    return {"x0": on_x0, "eps": on_x0 / snr, "v": on_x0 / (snr + 1)}[prediction]
+    return {"x0": snr, "eps": torch.ones_like(snr), "v": snr / (snr + 1)}[prediction]

@@ -38,8 +38,8 @@ def grid_code(height: int, width: int, channels: int, device: torch.device) -> T
     one coordinate system. Here code(i) . code(j) depends on the offset i - j only and is largest at 0, so "look at the
     same place" is there before training; any grid size works; no weights.
     """
-    # (H, channels / 2) and (W, channels / 2)
-    rows, columns = (sinusoid(torch.arange(n, device=device), channels // 2, longest=64.0) for n in (height, width))
+    rows = sinusoid(torch.arange(height, device=device), channels // 2, longest=64.0)  # (H, channels / 2)
+    columns = sinusoid(torch.arange(width, device=device), channels // 2, longest=64.0)  # (W, channels / 2)
     return torch.cat([rows.repeat_interleave(width, 0), columns.repeat(height, 1)], dim=1)
 
 
@@ -109,7 +109,7 @@ class PlainBlock(nn.Module):
         return F.relu(self.conv2(F.relu(self.conv1(x) + self.time(time)[:, :, None, None])))
 
 
-class ResidualBlock(PlainBlock):
+class NormalisedBlock(PlainBlock):
     """The same convolutions, normalised before (GroupNorm, SiLU) and added to their input: it trains faster."""
 
     def __init__(self, in_channels: int, channels: int, time_channels: int):
@@ -124,7 +124,7 @@ class ResidualBlock(PlainBlock):
 
 
 CROSS_ATTENTION = {"feature": CrossAttentionFeatureQuery, "latent": CrossAttentionLatentQuery}
-BLOCKS = {"residual": ResidualBlock, "plain": PlainBlock}
+BLOCKS = {"residual": NormalisedBlock, "plain": PlainBlock}
 
 
 class Level(nn.Module):
@@ -132,7 +132,8 @@ class Level(nn.Module):
 
     def __init__(self, i: int, in_channels: int, config: UNetConfig):
         super().__init__()
-        channels, feature_channels = config.width * config.multipliers[i], config.cond_channels * config.multipliers[i]
+        channels = config.width * config.multipliers[i]
+        feature_channels = config.cond_channels * config.multipliers[i]
         self.block = BLOCKS[config.block](in_channels, channels, 4 * config.width)
         self.attention = i in config.attention_levels
         if self.attention:
@@ -153,11 +154,15 @@ class FeatureExtractor(nn.Module):
 
     def __init__(self, in_channels: int, config: UNetConfig):
         super().__init__()
-        widths = [config.cond_channels * m for m in config.multipliers[: 1 + max(config.attention_levels, default=0)]]
+        levels = 1 + max(config.attention_levels, default=0)
+        widths = [config.cond_channels * m for m in config.multipliers[:levels]]
         self.steps = nn.ModuleList()
-        for i, (a, b) in enumerate(zip([in_channels * STRIDE**2, *widths], widths, strict=False)):
-            first, second = nn.Conv2d(a, b, 3, stride=2 if i else 1, padding=1), nn.Conv2d(b, b, 3, padding=1)
+        a = in_channels * STRIDE**2
+        for i, b in enumerate(widths):
+            first = nn.Conv2d(a, b, 3, stride=2 if i else 1, padding=1)
+            second = nn.Conv2d(b, b, 3, padding=1)
             self.steps.append(nn.Sequential(first, norm(b), nn.SiLU(), second))
+            a = b
         pairs = zip(config.colour_channels, widths, strict=False)
         self.colour = nn.ModuleList(nn.Conv2d(a, b, 1) for a, b in pairs)
 
@@ -190,7 +195,8 @@ class DenoisingUNet(nn.Module):
         if not set(config.attention_levels) <= set(range(len(config.multipliers))):
             raise ValueError(f"attention_levels {config.attention_levels}: only {len(config.multipliers)} levels exist")
         self.config, self.latent_channels, self.mask_channels = config, latent_channels, mask_channels
-        widths, wide = [config.width * m for m in config.multipliers], 4 * config.width
+        widths = [config.width * m for m in config.multipliers]
+        wide = 4 * config.width
         self.extractor = FeatureExtractor(cond_in_channels, config)
         self.time = nn.Sequential(nn.Linear(config.width, wide), nn.SiLU(), nn.Linear(wide, wide), nn.SiLU())
         self.stem = nn.Conv2d(2 * latent_channels + mask_channels + config.cond_channels, widths[0], 3, padding=1)

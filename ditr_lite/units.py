@@ -6,7 +6,10 @@ import numpy as np
 
 MAX_DEPTH_M = 65.0  # 16-bit millimetres end at 65.535 m: readings beyond this are codes for "no reading"
 MIN_DEPTH_M = 0.01  # no depth camera reads nearer: where most readings are, the unit is wrong
+MAX_SAMPLES = 256  # draws of one frame: more would not fit into memory, and their mean would not change
+MAX_SEED = 2**63 - 1
 USUAL_M = (0.15, 5.0)  # where the median reading of an indoor frame lies; outside, a warning
+STRAY_RATIO = 1.25  # a reading that differs from nearly all its neighbours by this factor belongs to no surface
 MILLIMETRES = 0.001  # metres per unit
 UNITS = (  # in the order in which they are proposed
     (MILLIMETRES, "millimetres"),
@@ -27,6 +30,39 @@ def clean_depth(depth: np.ndarray) -> np.ndarray:
         depth = np.array(np.ma.filled(depth, 0), dtype=np.float32)
     depth[~(np.isfinite(depth) & (depth > 0) & (depth < MAX_DEPTH_M))] = 0
     return depth
+
+
+def strays(depth: np.ndarray, window: int = 5) -> np.ndarray:
+    """Find readings that belong to no surface: most readings around them differ by more than :data:`STRAY_RATIO`.
+
+    They are hidden from the networks and given back in the end. A reading with few others around it cannot be judged,
+    so sparse depth has no strays.
+
+    Args:
+        depth: (H, W) metres, 0 = missing.
+        window: side of the neighbourhood in pixels, odd.
+
+    Returns:
+        (H, W) bool.
+    """
+    valid = depth > 0
+    logs = np.log(np.where(valid, depth, 1.0)).astype(np.float32)
+    padded = np.pad(np.where(valid, logs, np.nan), window // 2, constant_values=np.nan)
+    alike = np.zeros(depth.shape, np.int16)
+    read = np.zeros(depth.shape, np.int16)
+    for dy in range(window):
+        for dx in range(window):
+            other = padded[dy : dy + depth.shape[0], dx : dx + depth.shape[1]]
+            alike += np.abs(other - logs) < np.log(STRAY_RATIO)  # False for NaN
+            read += ~np.isnan(other)
+    enough = read > window * window // 3
+    return valid & enough & (alike - 1 < 0.2 * read)
+
+
+def without_strays(depth: np.ndarray) -> np.ndarray:
+    """Return depth (H, W) in metres as the networks see it: without its :func:`strays`, unless it has nothing else."""
+    left = np.where(strays(depth), 0, depth).astype(np.float32)
+    return left if left.any() else depth.astype(np.float32)
 
 
 def check_unit(name: str, depth: np.ndarray, scale: float = 1.0) -> None:
@@ -58,6 +94,71 @@ def check_unit(name: str, depth: np.ndarray, scale: float = 1.0) -> None:
     advice = f"{likely[0][1]}? pass depth_scale={likely[0][0]:g}" if likely else "what is its unit? pass depth_scale"
     top = float(read.max()) / scale
     raise ValueError(f"{name}: most readings lie {wrong}, values up to {top:.6g} at {scale:g} m a unit: {advice}")
+
+
+def check_inputs(
+    rgb: np.ndarray, depth: np.ndarray, region: np.ndarray | None, samples: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Check a frame and return it as arrays: its image, its depth as clean float32 metres, its region or None.
+
+    Args:
+        rgb: (H, W, 3) uint8.
+        depth: (H, W) float metres; NaN, infinite, negative and absurd readings become 0, missing, as do masked pixels
+            of a NumPy masked array.
+        region: (H, W) bool, or None.
+        samples: 1 to :data:`MAX_SAMPLES`.
+
+    Raises:
+        ValueError: naming what was expected, what came, and what to do.
+    """
+    rgb = _array("rgb", rgb)
+    depth = _array("depth", depth)
+    if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
+        raise ValueError(
+            f"rgb: expected (H, W, 3) uint8, got {rgb.shape} {rgb.dtype}; convert grey or RGBA images to RGB"
+        )
+    if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
+        raise ValueError(
+            f"depth: expected (H, W) float metres, got {depth.shape} {depth.dtype}; divide millimetres by 1000"
+        )
+    if rgb.shape[:2] != depth.shape:
+        raise ValueError(f"rgb is {rgb.shape[:2]} and depth {depth.shape}: align depth to the RGB image first")
+    if not depth.size:
+        raise ValueError(f"depth: expected at least one pixel, got {depth.shape}")
+    region = None if region is None else _array("region", region)
+    if region is not None and (region.shape != depth.shape or region.dtype != bool):
+        raise ValueError(f"region: expected {depth.shape} bool, got {region.shape} {region.dtype}")
+    check_count("samples", samples, 1, MAX_SAMPLES)
+    check_unit("depth", depth)
+    depth = clean_depth(depth)
+    if not (depth > 0).any():
+        raise ValueError(
+            "depth holds no reading (all pixels are 0, negative or not finite); completion needs some depth"
+        )
+    return rgb, depth, region
+
+
+def check_count(name: str, value: int, low: int, high: int) -> int:
+    """Return a whole number, NumPy's too, as Python's after checking its limits.
+
+    Raises:
+        ValueError: for another kind of number, or one beyond the limits.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise ValueError(f"{name}: expected a whole number, got {value!r}")
+    if value < low:
+        raise ValueError(f"{name}: expected at least {low}, got {value}")
+    if value > high:
+        raise ValueError(f"{name}: expected at most {high}, got {value}")
+    return int(value)
+
+
+def _array(name: str, given: np.ndarray) -> np.ndarray:
+    """Return what a caller gave as a plain array, masked pixels as 0."""
+    try:
+        return np.asarray(np.ma.filled(given, 0) if isinstance(given, np.ma.MaskedArray) else given)
+    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, tensors of a GPU or with gradients
+        raise ValueError(f"{name}: expected a NumPy array, got {type(given).__name__} ({error})") from None
 
 
 def depth_to_png(depth_m: np.ndarray, depth_scale: float = MILLIMETRES) -> np.ndarray:

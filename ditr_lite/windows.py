@@ -1,18 +1,132 @@
-"""Windows: where the optical branch looks closely, one square around each blob of the region.
+"""How a picture comes to the size that networks see, and back: the whole frame, and windows around the region.
 
-Not in the paper, which works on whole frames at a size it does not name. On a laptop the working size is small, and a
-glass that is 60 pixels wide in a camera's picture would be 12 pixels wide in it. So stage one looks at the whole frame,
-and the optical branch is given squares twice as wide as what it must paint.
+A window is where the optical branch looks closely, one square around each blob of the region. Not in the paper, which
+works on whole frames at a size it does not name. On a laptop the working size is small, and a glass that is 60 pixels
+wide in a camera's picture would be 12 pixels wide in it. So stage one looks at the whole frame, and the optical branch
+is given squares twice as wide as what it must paint.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import torch
+
+from .conditioning import fill
 
 MARGIN = 2.0  # side of a window over the longer side of what it must hold
 LEAST = 0.2  # smallest side, as a share of the frame's longer side
 MOST = 8  # windows in a frame; further blobs join the nearest window
+
+
+@dataclass(frozen=True)
+class Frame:
+    """How an image lies in the working size: scaled to (``height``, ``width``), then padded right and below."""
+
+    source: tuple[int, int]
+    height: int
+    width: int
+    size: tuple[int, int]
+
+    def into(self, image: np.ndarray) -> np.ndarray:
+        """Bring an image to the working size: colour by area, depth and masks by nearest; padding is 0 (missing).
+
+        Of depth, a cell whose nearest reading is missing takes the one that lies closest to its centre, if it holds
+        any: sparse or line-wise readings survive.
+        """
+        method = cv2.INTER_NEAREST
+        if image.ndim == 3:
+            method = cv2.INTER_AREA if self.height < self.source[0] else cv2.INTER_LINEAR
+        kind = np.uint8 if image.dtype == bool else image.dtype
+        small = cv2.resize(image.astype(kind), (self.width, self.height), interpolation=method)
+        if image.ndim == 2 and np.issubdtype(image.dtype, np.floating):
+            pool_readings(small, image)
+        return np.pad(small, self.padding + ((0, 0),) * (image.ndim - 2)).astype(image.dtype)
+
+    @property
+    def padding(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Rows before and after, columns before and after the image."""
+        return (0, self.size[0] - self.height), (0, self.size[1] - self.width)
+
+    @property
+    def picture(self) -> np.ndarray:
+        """(H, W) bool at the working size, False in the padding."""
+        return np.pad(np.ones((self.height, self.width), bool), self.padding)
+
+    def on_picture(self, find: Callable[..., tuple], *images: np.ndarray, **settings) -> tuple[np.ndarray, ...]:
+        """Call ``find`` with images less their padding, whose edge it would take for a boundary; pad what it returns.
+
+        Args:
+            find: of images (h, w, ...) and ``settings``; returns maps (h, w).
+            images: at the working size.
+            settings: passed on.
+
+        Returns:
+            the maps at the working size, 0 in the padding.
+        """
+        found = find(*(image[: self.height, : self.width] for image in images), **settings)
+        return tuple(np.pad(m, self.padding) for m in found)
+
+    def back(self, image: np.ndarray) -> np.ndarray:
+        """Bring a map (H, W) back from the working size: masks by nearest, depth smoothly but not over edges."""
+        size = (self.source[1], self.source[0])
+        image = image[: self.height, : self.width]
+        if image.dtype == bool:
+            return cv2.resize(image.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
+        nearest = cv2.resize(image, size, interpolation=cv2.INTER_NEAREST)
+        if size == (self.width, self.height):
+            return nearest
+        smooth = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
+        edge = np.abs(smooth - nearest) > 0.01 * np.abs(nearest)  # averaging over a jump would make flying pixels
+        np.copyto(smooth, nearest, where=edge)
+        return smooth
+
+
+def fit_frame(source: tuple[int, int], size: tuple[int, int]) -> Frame:
+    """Return the :class:`Frame` that puts an image of (H, W) ``source`` into ``size``, keeping its aspect."""
+    scale = min(size[0] / source[0], size[1] / source[1])
+    height, width = (max(1, min(limit, round(length * scale))) for length, limit in zip(source, size, strict=True))
+    return Frame(source, height, width, size)
+
+
+def pool_readings(small: np.ndarray, image: np.ndarray) -> None:
+    """Give every cell of ``small`` (h, w) that is 0 the reading of ``image`` (H, W) that is closest to its centre.
+
+    In place; a cell without any reading stays 0. Nothing happens where ``small`` is not smaller.
+    """
+    scale = np.array(small.shape) / image.shape
+    if scale.min() >= 1:
+        return
+    rows, columns = ((np.arange(n) + 0.5) * s for n, s in zip(image.shape, scale, strict=True))
+    y, x = np.minimum(rows.astype(int), small.shape[0] - 1), np.minimum(columns.astype(int), small.shape[1] - 1)
+    wanted = (image > 0) & (small == 0)[y[:, None], x[None]]
+    v, u = np.nonzero(wanted)
+    if v.size == 0:
+        return
+    away = (rows[v] - y[v] - 0.5) ** 2 + (columns[u] - x[u] - 0.5) ** 2
+    order = np.argsort(-away, kind="stable")  # the closest is written last
+    small[y[v[order]], x[u[order]]] = image[v[order], u[order]]
+
+
+def tie(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
+    """Draw a painting towards the readings around its holes: what they differ by is spread into the holes.
+
+    The working size is smaller than a camera's picture; this gives a filled hole the level of its rim at full size.
+    By ratios, so that distance does not matter.
+
+    Args:
+        painted: (H, W) metres, dense.
+        depth: (H, W) raw metres, 0 = missing.
+        region: (H, W) bool, whose readings do not count.
+
+    Returns:
+        (H, W) float32 metres, equal to ``depth`` where a reading counts.
+    """
+    known = (depth > 0) & ~region
+    difference = np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0))
+    maps = [torch.from_numpy(m.astype(np.float32))[None, None] for m in (difference, known)]
+    return (painted * np.exp(fill(*maps)[0, 0].numpy())).astype(np.float32)
 
 
 @dataclass(frozen=True)

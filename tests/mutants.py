@@ -68,9 +68,8 @@ SCHEDULE = [
         ("noise: root dropped", ", (1 - alpha_bar).sqrt().to(like)", ", (1 - alpha_bar).to(like)"),
         ("noise: 1 - root", ", (1 - alpha_bar).sqrt().to(like)", ", (1 - alpha_bar.sqrt()).to(like)"),
         ("noise: rounded before the root", "(1 - alpha_bar).sqrt().to(like)", "(1 - alpha_bar.to(like)).sqrt()"),
-        ("weight: cap from below", "snr.clamp(max=gamma)", "snr.clamp(min=gamma)"),
-        ("weight: eps not divided by SNR", '"eps": on_x0 / snr', '"eps": on_x0'),
-        ("weight: v divided by SNR alone", "on_x0 / (snr + 1)", "on_x0 / snr"),
+        ("weight: eps not divided by SNR", '"eps": torch.ones_like(snr)', '"eps": snr'),
+        ("weight: v divided by SNR alone", "snr / (snr + 1)", "snr / snr"),
     ),
 ]
 
@@ -484,13 +483,10 @@ FRAMES = [
     ),
     *family(
         "readings",
-        "conditioning",
+        "windows",
         ("not pooled", "            pool_readings(small, image)\n", "            pass\n"),
         ("pooled: the farthest from the centre", "order = np.argsort(-away", "order = np.argsort(away"),
         ("pooled: over readings", "(image > 0) & (small == 0)[", "(image > 0) & (small >= 0)["),
-        ("strays: all alike", "alike - 1 < 0.2 * read", "alike - 1 < 0 * read"),
-        ("strays: judged by few", "valid & enough & (alike", "valid & (alike"),
-        ("strays: a surface's edge", "alike - 1 < 0.2 * read", "alike - 1 < 0.8 * read"),
         ("tie: by differences", "painted * np.exp(fill(", "painted + np.exp(fill("),
         (
             "tie: upside down",
@@ -498,6 +494,17 @@ FRAMES = [
             "np.log(np.where(known, painted, 1.0) / np.where(known, depth, 1.0))",
         ),
         ("tie: to the region, too", "known = (depth > 0) & ~region\n", "known = depth > 0\n"),
+    ),
+    *family(
+        "readings",
+        "units",
+        ("strays: all alike", "alike - 1 < 0.2 * read", "alike - 1 < 0 * read"),
+        ("strays: judged by few", "valid & enough & (alike", "valid & (alike"),
+        ("strays: a surface's edge", "alike - 1 < 0.2 * read", "alike - 1 < 0.8 * read"),
+    ),
+    *family(
+        "readings",
+        "conditioning",
         (
             "evidence: a reading alone",
             "offset = (fill(depth_n, known + seen) - filled)",
@@ -538,13 +545,6 @@ FRAMES = [
             "(total // 2, total - total // 2) * 2 if stride > 1",
             "(total - total // 2, total // 2) * 2 if stride > 1",
         ),
-        (
-            "fold: variance not rooted",
-            'torch.sqrt(state[f"{norm}.running_var"] + eps)',
-            '(state[f"{norm}.running_var"] + eps)',
-        ),
-        ("fold: mean added", '- state[f"{norm}.running_mean"] * scale', '+ state[f"{norm}.running_mean"] * scale'),
-        ("fold: mean not scaled", 'state[f"{norm}.running_mean"] * scale', 'state[f"{norm}.running_mean"]'),
         ("input not added", "return x + h if self.residual else h", "return h"),
         (
             "narrowed with a bend",
@@ -552,6 +552,17 @@ FRAMES = [
             "h = F.relu6(self.project(F.relu6(self.depthwise(h))))",
         ),
         ("stage of stride 16 taken early", "outputs[2], outputs[4]]", "outputs[2], outputs[3]]"),
+    ),
+    *family(
+        "encoder",
+        "training/pretrained",
+        (
+            "fold: variance not rooted",
+            'torch.sqrt(state[f"{norm}.running_var"] + eps)',
+            '(state[f"{norm}.running_var"] + eps)',
+        ),
+        ("fold: mean added", '- state[f"{norm}.running_mean"] * scale', '+ state[f"{norm}.running_mean"] * scale'),
+        ("fold: mean not scaled", 'state[f"{norm}.running_mean"] * scale', 'state[f"{norm}.running_mean"]'),
     ),
     *family(
         "stage two",

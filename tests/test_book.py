@@ -2,9 +2,11 @@
 
 import hashlib
 import importlib
+import re
 import sys
 from pathlib import Path
 
+import nbformat
 import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
@@ -61,7 +63,9 @@ def test_an_exercise_stands_open_above_its_folded_solution():
         ("[a](04_ddpm_math.ipynb#x)", "[a](04_ddpm_math.ipynb#x)"),
         ("[a](https://arxiv.org/abs/1)", "[a](https://arxiv.org/abs/1)"),
         ("[a](../PAPER_MAP.md)", "[a](../equation_map.md)"),
-        ("[a](../book/glossary.md#term-region)", "[a](../glossary.md#term-region)"),
+        ("[a](../book/glossary.md#term-region)", "{term}`a <region>`"),
+        ("[a](../book/glossary.md#term-signal-to-noise-ratio)", "{term}`a <signal-to-noise ratio>`"),
+        ("[a](../book/glossary.md)", "[a](../glossary.md)"),
         ("see [a file](../ditr_lite/config.py) there", "see a file there"),
         ("![alt](attachment:p.png)", "![alt](attachment:p.png)"),
     ],
@@ -89,9 +93,22 @@ def test_a_row_of_another_form_is_refused(tmp_path):
         equation_map.parts(tmp_path / "map.md")
 
 
+def test_a_link_to_a_term_that_is_not_there_is_refused():
+    with pytest.raises(ValueError, match="no such term"):
+        notebook_pages.book_links("[a](../book/glossary.md#term-nonsense)")
+
+
+def test_links_of_the_notebooks_lead_to_terms_of_the_glossary():
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        for cell in nbformat.read(path, as_version=4).cells:
+            if cell.cell_type == "markdown":
+                notebook_pages.book_links(cell.source)
+
+
 def test_a_summary_shows_the_source_of_what_its_notebook_teaches():
     found = equation_map.parts(ROOT / "PAPER_MAP.md")
     page = generated_pages.summary("04_ddpm_math", found, ROOT)
+    assert "Reference: {py:obj}" in generated_pages.summary("02_region_refinement", found, ROOT)
     assert "## Eq. 7: `diffusion.q_sample`" in page and "def q_sample(" in page
     assert "{py:obj}`schedule.make_schedule <ditr_lite.schedule.make_schedule>`" in page
 
@@ -107,9 +124,32 @@ def test_the_reference_follows_the_packages_list():
     import ditr_lite
 
     names = generated_pages.core()
-    assert {"config", "diffusion", "boundary", "pipeline"} <= set(names)
+    assert {"config", "diffusion", "boundary", "region", "pipeline"} <= set(names)
+    assert "viz" in generated_pages.rooms() and all(map(generated_pages._files, names))
     assert [name for name in ditr_lite.MODULES if name in names] == names
     assert set(names) | set(generated_pages.rooms()) == set(ditr_lite.MODULES)
+
+
+def test_the_cheat_sheet_names_what_the_code_has():
+    from ditr_lite.config import Config
+
+    text = (ROOT / "book" / "symbols.md").read_text(encoding="utf-8")
+    config = Config()
+    (height, width), cells = config.size, [side // 4 for side in config.size]
+    usual = {
+        "height and width of the picture, in pixels": f"{height}, {width}",
+        "height and width of the latent grid": f"{cells[0]}, {cells[1]}; in a window {config.window // 4}",
+        "channels of a latent": config.autoencoder.latent_channels,
+        "samples drawn for one frame": config.sampler.samples,
+        "diffusion steps": f"{config.schedule.timesteps:,}",
+        "entries of the codebook": f"{config.autoencoder.codes:,}",
+    }
+    for what, value in usual.items():
+        [line] = [line for line in text.splitlines() if f"| {what}" in line]
+        assert line.split("|")[3].strip().startswith(str(value)), line
+    code = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "ditr_lite").rglob("*.py"))
+    names = {name.split(".")[-1] for name in re.findall(r"`(?:out\.)?([a-z][a-z0-9_]+)`", text)}
+    assert len(names) > 30 and [name for name in names if not re.search(rf"\b{name}\b", code)] == []
 
 
 @pytest.mark.parametrize(

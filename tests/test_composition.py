@@ -1,11 +1,11 @@
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ditr_lite.config import StdConfig
-from ditr_lite.pipeline import check_inputs, compose, expected_error
+from ditr_lite.metrics import expected_error
+from ditr_lite.pipeline import compose
 
 SHAPE = (5, 7)
 METRES = st.floats(0.0625, 8, width=32)
@@ -34,44 +34,6 @@ def test_a_single_painting_is_composed_by_the_same_rule(depth, filled, region):
     out = compose(depth, filled, filled, region)  # how baselines are composed
     kept = ~region & (depth > 0)
     assert out[kept].tobytes() == depth[kept].tobytes() and out[~kept].tobytes() == filled[~kept].tobytes()
-
-
-RGB, DEPTH, MASK = np.zeros((4, 6, 3), np.uint8), np.ones((4, 6), np.float32), np.zeros((4, 6), bool)
-
-
-@pytest.mark.parametrize(
-    ("rgb", "depth", "region", "samples", "message"),
-    [
-        (RGB[..., 0], DEPTH, None, 1, r"rgb: expected \(H, W, 3\) uint8, got \(4, 6\)"),
-        (np.zeros((4, 6, 4), np.uint8), DEPTH, None, 1, "RGBA"),
-        (RGB / 255.0, DEPTH, None, 1, "got .* float64"),
-        (RGB, (DEPTH * 1000).astype(np.uint16), None, 1, "divide millimetres by 1000"),
-        (RGB, DEPTH[None], None, 1, r"depth: expected \(H, W\)"),
-        (RGB, DEPTH[:, :5], None, 1, "align depth to the RGB image"),
-        (RGB, DEPTH, MASK[:3], 1, r"region: expected \(4, 6\) bool"),
-        (RGB, DEPTH, MASK.astype(np.uint8), 1, "got .* uint8"),
-        (RGB, DEPTH, MASK, 0, "samples: expected at least 1"),
-        (RGB, 0 * DEPTH, None, 1, "holds no reading"),
-        (RGB, np.nan * DEPTH, None, 1, "holds no reading"),
-    ],
-)
-def test_bad_inputs_are_named(rgb, depth, region, samples, message):
-    with pytest.raises(ValueError, match=message):
-        check_inputs(rgb, depth, region, samples)
-
-
-def test_lists_come_back_as_arrays():
-    rgb, depth, region = check_inputs(RGB, DEPTH.tolist(), MASK.tolist(), 1)
-    assert np.array_equal(rgb, RGB) and np.array_equal(depth, DEPTH) and depth.dtype == np.float32
-    assert np.array_equal(region, MASK) and region.dtype == bool
-    assert check_inputs(RGB, DEPTH, None, 1)[2] is None
-
-
-def test_depth_is_cleaned_and_the_callers_array_left_alone():
-    depth = np.array([[1.5, np.nan, np.inf], [-1, 65.5, 0.3]])
-    rgb, clean, _ = check_inputs(np.zeros((2, 3, 3), np.uint8), depth, None, 1)
-    assert clean.dtype == np.float32 and np.allclose(clean, [[1.5, 0, 0], [0, 0, 0.3]])
-    assert np.isnan(depth[0, 1])
 
 
 def test_expected_error_adds_a_share_of_the_depth_to_the_scaled_spread():

@@ -5,7 +5,7 @@ import torch
 
 from ditr_lite import diffusion as df
 from ditr_lite.config import ScheduleConfig
-from ditr_lite.schedule import eq8_weight, make_schedule, min_snr_weight
+from ditr_lite.schedule import eq8_weight, make_schedule
 
 SCHEDULE = make_schedule()
 T = SCHEDULE.timesteps
@@ -118,7 +118,7 @@ def test_x0_and_v_losses_with_eq8_weight_are_eq8(shape):
 
 def test_weight_as_callable_equals_weight_as_table():
     x0, eps, t, _ = draw()
-    table = min_snr_weight(SCHEDULE, "x0")
+    table = eq8_weight(SCHEDULE, "x0")
     by_call = df.loss(0 * x0, x0, eps, t, SCHEDULE, "x0", weight=lambda t: table[t])
     assert torch.equal(by_call, df.loss(0 * x0, x0, eps, t, SCHEDULE, "x0", weight=table))
     assert not torch.equal(by_call, df.loss(0 * x0, x0, eps, t, SCHEDULE, "x0"))

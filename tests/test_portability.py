@@ -18,7 +18,7 @@ MISSING_ON_WINDOWS = {"resource", "fcntl", "pwd", "grp", "termios", "pty", "sysl
 # OpenCV opens no path with a letter outside the system's code page on Windows: np.fromfile and cv2.imdecode do.
 PATHS_TO_OPENCV = {"imread", "imwrite", "imreadmulti"}
 # What still does: to be taken out here when it is mended there.
-KNOWN = {"data.py": PATHS_TO_OPENCV, "00_start_here.ipynb": {"imread"}, "09_your_own_camera.ipynb": {"imwrite"}}
+KNOWN = {"00_start_here.ipynb": {"imread"}, "09_your_own_camera.ipynb": {"imwrite"}}
 
 
 def unportable(source):
@@ -77,7 +77,8 @@ def pins(name):
 def test_the_light_set_has_the_pins_of_the_full_one():
     light, full = pins("environment-class.txt"), pins("environment.txt")
     assert {name: pin for name, pin in light.items() if name != "setuptools"}.items() <= full.items()
-    assert {"transformers", "diffusers", "mitsuba", "accelerate", "plotly"} & set(light) == set()
+    assert {"transformers", "diffusers", "mitsuba", "plotly"} & set(light) == set()
+    assert "accelerate" in light  # notebook 02 trains
     assert int(light["setuptools"].split(".")[0]) >= 77  # what pyproject.toml builds with
 
 
@@ -90,7 +91,7 @@ def test_the_dockerfile_copies_what_is_there_and_is_not_root():
         *sources, _ = line.split()
         assert all((ROOT / source).exists() for source in sources), line
     assert (ROOT / re.search(r"^ARG SET=(.+)$", text, re.MULTILINE).group(1)).exists()
-    assert text.index("USER learner") < text.index("RUN python -m venv") and "allow-root" not in text
+    assert text.index("USER 1000") < text.index("RUN python -m venv") and "allow-root" not in text
     command = json.loads(re.search(r"^CMD (\[.+\])$", text, re.MULTILINE).group(1))
     assert (ROOT / command[-1]).exists() and not any("token" in word for word in command)
     assert "$(grep '^torch==' environment.txt)" in text and "torch" in pins("environment.txt")

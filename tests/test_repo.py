@@ -24,7 +24,14 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 BESIDE = {path.stem for folder in ("tests", "tools") for path in (ROOT / folder).glob("*.py")}  # on pytest's path
 CLOSED = ("exercises", "peers", "cli")  # rooms that no other place of the package imports, save __main__
 # Where the name that is imported is not the one that is installed; drjit comes with mitsuba, which pins it.
-DISTRIBUTIONS = {"PIL": "pillow", "cv2": "opencv-python-headless", "drjit": "mitsuba", "skimage": "scikit-image"}
+DISTRIBUTIONS = {
+    "PIL": "pillow",
+    "kubernetes_validate": "kubernetes-validate",
+    "yaml": "pyyaml",
+    "cv2": "opencv-python-headless",
+    "drjit": "mitsuba",
+    "skimage": "scikit-image",
+}
 
 
 def faults(check, paths):
@@ -184,6 +191,56 @@ def test_a_newcomer_meets_at_most_thirty_names():
     assert found == set(ditr_lite.MODULES) and len(ditr_lite.MODULES) == len(found) <= 30
 
 
+# What may stand in two files, and why.
+SHARED = {
+    "load": {"boundary/learned.py", "boundary/sam.py"},  # what every boundary backend offers
+    "add_arguments": {"cli/complete.py", "cli/simulate.py"},  # what every command offers
+    "run": {"cli/complete.py", "cli/simulate.py"},  # likewise
+}
+
+
+def namesakes(files):
+    """Return {name: files} of the public functions and classes that are defined at the top of more than one file."""
+    homes = {}
+    for file, source in files.items():
+        for node in ast.parse(source).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not is_private(node.name):
+                homes.setdefault(node.name, set()).add(file)
+    return {name: places for name, places in homes.items() if len(places) > 1}
+
+
+def test_a_public_name_means_one_thing():
+    twice = "def fit(): ...\nclass Plan: ..."
+    toy = {"a.py": twice, "b.py": "def fit(): ...\ndef _own(): ...", "c.py": "def _own(): ...\nx = 1"}
+    assert namesakes(toy) == {"fit": {"a.py", "b.py"}}
+    assert namesakes(SOURCES) == SHARED
+
+
+# What a learner studies: the method, in the paper's order.
+STUDIED = ("conditioning.py", "region/", "boundary/maps.py", "autoencoder.py", "schedule.py", "diffusion.py", "unet.py")
+STUDIED += ("stage_two.py", "pipeline.py")
+COMPREHENSIONS = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
+
+
+def dense(source):
+    """Return the lines of ``source`` with an assignment inside an expression, or a comprehension in another one."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.NamedExpr):
+            found.add(node.lineno)
+        if isinstance(node, COMPREHENSIONS):
+            inner = [part for part in ast.walk(node) if part is not node and isinstance(part, COMPREHENSIONS)]
+            found |= {part.lineno for part in inner}
+    return sorted(found)
+
+
+def test_the_method_is_short_and_read_one_operation_at_a_time():
+    assert dense("a = [x for x in y]\nb = {k: [x for x in v] for k, v in c}\nif (d := a):\n    pass") == [2, 3]
+    studied = {file: source for file, source in SOURCES.items() if file.startswith(STUDIED)}
+    assert {file: dense(source) for file, source in studied.items()} == dict.fromkeys(studied, [])
+    assert len(studied) == 11 and sum(source.count("\n") for source in studied.values()) <= 2100
+
+
 def test_no_tool_takes_a_private_name():
     tools = [p for p in PYTHON if ROOT / "tools" in p.parents]
     assert tools and faults(lambda path: private_uses(ast.parse(path.read_text(encoding="utf-8"))), tools) == {}
@@ -265,7 +322,7 @@ def ranges():
     """Return {name: version range} of everything that environment.txt must pin."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    pinned = ("notebooks", "simulate", "sam", "book", "dev")
+    pinned = ("notebooks", "simulate", "sam", "logs", "book", "dev")
     declared = [*project["dependencies"], *(line for extra in pinned for line in extras[extra])]
     return {requirement.name: requirement.specifier for requirement in map(Requirement, declared)}
 
@@ -302,7 +359,7 @@ def test_every_third_party_import_is_declared():
 
 
 OPTIONAL = ("accelerate", "jupyterlab", "IPython", "ipywidgets", "plotly", "psutil", "diffusers", "transformers")
-OPTIONAL += ("mitsuba", "drjit", "pyrealsense2")
+OPTIONAL += ("mitsuba", "drjit", "pyrealsense2", "tensorboard")
 
 
 def without_extras(code):

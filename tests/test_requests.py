@@ -9,8 +9,8 @@ from hypothesis.extra.numpy import arrays
 
 from ditr_lite import diffusion
 from ditr_lite.config import preset
-from ditr_lite.pipeline import MAX_SEED, Ditr, build, check_inputs
-from ditr_lite.units import check_unit, clean_depth, upsample_sparse
+from ditr_lite.pipeline import Ditr, build
+from ditr_lite.units import MAX_SEED, check_inputs, check_unit, clean_depth, upsample_sparse
 
 TINY = preset("tiny")
 SIZE = (48, 64)

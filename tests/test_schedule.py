@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from ditr_lite.config import ScheduleConfig
-from ditr_lite.schedule import SCHEDULES, NoiseSchedule, eq8_weight, make_schedule, min_snr_weight
+from ditr_lite.schedule import SCHEDULES, NoiseSchedule, eq8_weight, make_schedule
 
 NAMES = sorted(SCHEDULES)
 
@@ -63,8 +63,6 @@ def test_weights_on_each_prediction(prediction):
     snr = s.snr()
     in_eps_units = {"eps": 1, "x0": snr, "v": snr / (snr + 1)}[prediction]
     assert torch.allclose(eq8_weight(s, prediction), in_eps_units * torch.ones_like(snr))
-    ratio = min_snr_weight(s, prediction, gamma=5.0) / eq8_weight(s, prediction)
-    assert torch.allclose(ratio, (5 / snr).clamp(max=1))
 
 
 @pytest.mark.parametrize(
@@ -95,8 +93,6 @@ def test_bad_steps_are_refused(t):
 
 
 def test_bad_weights_are_refused():
-    with pytest.raises(ValueError, match="gamma"):
-        min_snr_weight(make_schedule(), "x0", gamma=0)
     with pytest.raises(ValueError, match="choose one of"):
         eq8_weight(make_schedule(), "score")
 

@@ -27,7 +27,9 @@ def example():
             new_markdown_cell("# Title\n\nWhat it is about."),
             new_markdown_cell("More of it."),
             new_code_cell("import numpy"),
-            new_markdown_cell("## Part\n\n$x^2$, see [02](02_region_refinement.ipynb)"),
+            new_markdown_cell(
+                "## Part\n\n$x^2$, see [02](02_region_refinement.ipynb) and [a word](../book/glossary.md#term-region)"
+            ),
             new_code_cell("print(1)", outputs=[new_output("stream", text="1\n")]),
             new_code_cell("plot()", outputs=[figure], metadata={"alt": "two <curves>"}),
             new_markdown_cell("What to see."),
@@ -79,6 +81,7 @@ def test_a_deck_loads_nothing_from_outside(fetched, tmp_path):
         assert address.startswith("data:") or address.startswith("vendor/"), address
     assert (page.parent / "vendor" / "mathjax" / "es5" / "tex-svg.js").exists()
     assert 'alt="two &lt;curves&gt;"' in html and "plot()" not in html and "print" in html
+    assert "a word" in html and "glossary" not in html
     assert 'href="02_region_refinement.html"' in html and '<aside class="notes">' in html
 
 

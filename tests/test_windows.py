@@ -2,9 +2,21 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_scenes import table
 
-from ditr_lite.windows import LEAST, MARGIN, MOST, Window, choose_windows, square
+from ditr_lite.windows import (
+    LEAST,
+    MARGIN,
+    MOST,
+    Window,
+    choose_windows,
+    fit_frame,
+    pool_readings,
+    square,
+    tie,
+)
 
+SIZES = st.tuples(st.integers(1, 300), st.integers(1, 300))
 SHAPES = st.tuples(st.integers(1, 120), st.integers(1, 120))
 
 
@@ -13,6 +25,118 @@ def blobs(shape, *boxes):
     for top, left, bottom, right in boxes:
         region[top:bottom, left:right] = True
     return region
+
+
+# --- into the working size and back -----------------------------------------------------------------------------------
+
+
+@settings(deadline=None)
+@given(SIZES)
+def test_any_size_fits_with_its_aspect_and_comes_back(source):
+    frame = fit_frame(source, (64, 96))
+    assert 1 <= frame.height <= 64 and 1 <= frame.width <= 96 and (frame.height == 64 or frame.width == 96)
+    scales = frame.height / source[0], frame.width / source[1]
+    assert abs(scales[0] - scales[1]) * max(source) <= max(source) / min(source) + 1  # equal but for rounding
+    inside = frame.into(np.ones(source, bool))
+    assert inside.shape == (64, 96) and inside.sum() == frame.height * frame.width
+    for image in (np.ones(source, np.float32), np.ones(source, bool)):
+        back = frame.back(frame.into(image))
+        assert back.shape == source and back.dtype == image.dtype and (back == 1).all()
+
+
+def test_depth_is_never_averaged_and_missing_stays_missing():
+    depth = np.random.default_rng(0).choice([0, 0.5, 2.0], (120, 170)).astype(np.float32)
+    frame = fit_frame(depth.shape, (64, 96))
+    assert set(np.unique(frame.into(depth))) == {0, np.float32(0.5), 2}
+    assert frame.into(np.full((120, 170, 3), 9, np.uint8)).shape == (64, 96, 3)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**6), st.integers(1, 60))
+def test_sparse_readings_survive_the_way_into_the_working_size(seed, count):
+    rng = np.random.default_rng(seed)
+    depth = np.zeros((240, 320), np.float32)
+    at = rng.integers(0, 240, count), rng.integers(0, 320, count)
+    depth[at] = rng.uniform(0.3, 3, count)
+    frame = fit_frame(depth.shape, (64, 96))
+    small = frame.into(depth)
+    for y, x in zip(*at, strict=True):
+        assert small[int((y + 0.5) * frame.height / 240), int((x + 0.5) * frame.width / 320)] > 0
+    assert (small > 0).sum() <= 4 * count
+    assert set(small[small > 0]) <= set(depth[depth > 0])
+
+
+def test_scan_lines_survive_and_the_reading_closest_to_the_centre_counts():
+    lines = np.zeros((240, 320), np.float32)
+    lines[3::11] = 1.5
+    assert (fit_frame(lines.shape, (64, 96)).into(lines) > 0).sum() > 20 * 80
+    image, small = np.zeros((8, 8), np.float32), np.zeros((2, 2), np.float32)
+    image[0, 0], image[1, 2], image[7, 7] = 1.0, 2.0, 3.0
+    small[1, 0] = 9.0
+    pool_readings(small, image)
+    assert small.tolist() == [[2, 0], [9, 3]]
+    same = np.zeros((8, 8), np.float32)
+    pool_readings(same, image)
+    assert not same.any()  # nothing was made smaller
+
+
+def test_way_back_is_smooth_on_surfaces_and_sharp_at_jumps():
+    ramp = np.tile(np.linspace(1, 1.2, 96, dtype=np.float32), (64, 1))
+    frame = fit_frame((128, 192), (64, 96))
+    fine = frame.back(ramp)[0]
+    assert np.abs(np.diff(fine, 2)).max() < 1e-3 and len(np.unique(fine)) > 150  # no staircase
+    step = np.where(np.arange(96) < 48, np.float32(0.5), np.float32(1.0)) * np.ones((64, 1), np.float32)
+    assert set(np.unique(frame.back(step))) == {0.5, 1}  # no flying pixel between the two
+
+
+def test_at_the_working_size_a_map_comes_back_as_a_copy_of_itself():
+    depth = np.random.default_rng(0).random((64, 96)).astype(np.float32)
+    back = fit_frame((64, 96), (64, 96)).back(depth)
+    assert np.array_equal(back, depth) and not np.shares_memory(back, depth)
+
+
+def test_what_is_found_on_the_picture_never_sees_its_padding():
+    frame = fit_frame((72, 128), (96, 128))
+    seen = []
+
+    def find(image, depth, factor):
+        seen.append((image.shape, depth.shape))
+        return depth > 0, factor * depth
+
+    image, depth = np.ones((96, 128, 3), np.uint8), np.ones((96, 128), np.float32)
+    found, scaled = frame.on_picture(find, image, depth, factor=2)
+    assert seen == [((72, 128, 3), (72, 128))]
+    assert found[:72].all() and not found[72:].any() and found.dtype == bool
+    assert (scaled[:72] == 2).all() and not scaled[72:].any()
+
+
+# --- tie --------------------------------------------------------------------------------------------------------------
+
+
+def test_a_tied_painting_is_the_readings_where_they_count():
+    depth = table()
+    region = np.zeros(depth.shape, bool)
+    region[10:20, 10:20] = True
+    painted = np.random.default_rng(1).uniform(0.3, 1.2, depth.shape).astype(np.float32)
+    tied = tie(painted, depth, region)
+    known = (depth > 0) & ~region
+    assert np.allclose(tied[known], depth[known], rtol=1e-5) and tied.dtype == np.float32 and (tied > 0).all()
+    assert np.array_equal(tied, tie(painted, np.where(region, 5, depth).astype(np.float32), region))
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.floats(0.5, 2))
+def test_a_painting_that_is_off_by_a_ratio_is_put_right(ratio):
+    depth = np.where(table() > 0, table(), 0)
+    whole = np.linspace(0.9, 0.5, 48)[:, None] * np.ones((1, 64))
+    depth = np.where(depth > 0, whole, 0).astype(np.float32)
+    tied = tie((ratio * whole).astype(np.float32), depth, np.zeros(depth.shape, bool))
+    assert np.allclose(tied, whole, rtol=1e-4)
+
+
+def test_without_a_reading_a_painting_stays():
+    painted = table() + 0.5
+    assert np.array_equal(tie(painted, 0 * painted, np.zeros(painted.shape, bool)), painted)
 
 
 # --- one window -------------------------------------------------------------------------------------------------------

@@ -56,7 +56,7 @@ def realism_section(simulated: Sequence[Sample], real: Sequence[Sample], which: 
     """Return the comparison with real frames and its verdict."""
     text = f"Percentiles over {len(simulated)} {which}"
     if not real:
-        return f"{text}; no real frames were at hand.\n\n```\n{realism.compare(list(simulated), [])}\n```"
+        return f"{text}; no real frames were at hand.\n\n```\n{realism.compare_with_real(list(simulated), [])}\n```"
     text += f", and {len(real)} real frames of ClearGrasp\n(RealSense D435), which are not part of this repository:"
     placed = ranks(simulated, real)
     out = [(key, name, rank) for key, name, rank in placed if not 5 <= rank <= 95]
@@ -64,7 +64,7 @@ def realism_section(simulated: Sequence[Sample], real: Sequence[Sample], which: 
     if out:
         listed = "; ".join(f"`{key}` of {name} at percentile {rank:.1f}" for key, name, rank in out)
         verdict += f"\nOutside: {listed}."
-    return f"{text}\n\n```\n{realism.compare(list(simulated), list(real))}\n```\n\n{verdict}"
+    return f"{text}\n\n```\n{realism.compare_with_real(list(simulated), list(real))}\n```\n\n{verdict}"
 
 
 def few(real: Sequence[Sample]) -> str:

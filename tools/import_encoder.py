@@ -16,8 +16,9 @@ from pathlib import Path
 import torch
 
 from ditr_lite.config import from_dict, preset
-from ditr_lite.region.encoder import ColourEncoder, fold
+from ditr_lite.region import ColourEncoder
 from ditr_lite.store import CARD, WEIGHTS, read_card, save_part
+from ditr_lite.training.pretrained import fold
 
 
 def main(argv: list[str] | None = None) -> int:

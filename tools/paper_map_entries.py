@@ -109,14 +109,14 @@ paper.audit.audit_table | paper/test_audit.py::test_the_worded_delta_is_refuted_
 results on STD
 
 T4 | done | 08_ablations | 2 · Climb the paper's ladder: BB, +DP, +RR
-studies.swaps.run | studies/test_swaps.py::test_regions_are_what_they_are_called
+studies.swaps.score_swaps | studies/test_swaps.py::test_regions_are_what_they_are_called
 ablation: backbone, depth partition, region refinement
 
 T5 | done | 07_metrics | 7 · Audit the paper's tables
 paper.audit.rank_orders | paper/test_audit.py::test_six_orders_of_table_5
 error breakdown, geometric and optical
 
-T6 | done | 04_ddpm_math | What the paper's sizes cost
+T6 | done | 04_ddpm_math | Appendix · What the paper's sizes cost
 evaluation.costs.beside_table_vi | evaluation/test_costs.py::test_table_vi_cannot_hold
 latency and GFLOPs at 1280 × 720, per stage
 

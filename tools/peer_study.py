@@ -31,7 +31,7 @@ def begin(peers: Path, threads: int) -> None:
 
 def score(name: str) -> dict:
     """Score all methods on one frame."""
-    return compare.run([dl.load_sample(name)], **STUDY)
+    return compare.score_methods([dl.load_sample(name)], **STUDY)
 
 
 def main() -> None:
@@ -49,7 +49,7 @@ def main() -> None:
     with multiprocessing.get_context("spawn").Pool(args.workers, begin, (args.peers, threads)) as pool:
         for found in tqdm(pool.imap(score, names), total=len(names), desc="frames", unit="frame"):
             scores |= found
-    report = compare.summarise(scores)
+    report = compare.summarise_peers(scores)
     card = read_card(args.peers)["parts"]
     report["trained"] = {
         name: {k: part[k] for k in ("arm", "minutes", "seed", "steps", "scenes", "sha256")}

@@ -106,7 +106,7 @@ def peers(result: dict) -> str:
         cells = [f"{1000 * mean[n]['optical'][0]:.1f}" if n in mean else "–" for n in (f"{name}, bare", name)]
         cells += [f"{1000 * mean[name][k][0]:.1f}" for k in ("geometric", "whole")]
         lines.append(f"| {name} | " + " | ".join([*cells, format_interval(ratio[name]["optical"], 1, ".2f")]) + " |")
-    lines += ["", compare.verdict(result).replace("\n", ".\n") + ".", ""]
+    lines += ["", compare.ratio_verdict(result).replace("\n", ".\n") + ".", ""]
     for step, before in (("+DP", "BB"), ("+RR", "+DP")):
         changes = [
             format_interval([100 * (v - 1) for v in r[step]["optical"]], 1, "+.0f") for r in result["ablation"].values()

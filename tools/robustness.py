@@ -48,7 +48,7 @@ def main(argv: list[str] | None = None) -> int:
     chosen = {split: frames(options.frames, split) for split in options.splits}  # refuses unknown splits at once
     names, start = frames(options.limit), time.perf_counter()
     ditr = Ditr.from_pretrained(options.weights)
-    found = {"curves": robustness.run(ditr, [load_sample(name) for name in names]), "disturbances": {}}
+    found = {"curves": robustness.score_conditions(ditr, [load_sample(name) for name in names]), "disturbances": {}}
     for split, some in chosen.items():
         found["disturbances"][split] = disturbances(ditr, some)
         print(f"\n{split} split, {len(some)} scenes, RMSE in the region; [95 % interval], paired over scenes")

@@ -99,6 +99,7 @@ def render(paths: list[Path], out: Path) -> list[Path]:
             deck(nbformat.read(path, as_version=4)), resources={"metadata": {"name": path.stem}}
         )
         page = re.sub(r'href="(\d\d_\w+)\.ipynb', r'href="\1.html', page)
+        page = re.sub(r'<a href="\.\./[^"]*">(.*?)</a>', r"\1", page)  # what lies outside the decks stays behind
         target = out / f"{path.stem}.html"
         part = target.with_suffix(".part")
         part.write_text(page, encoding="utf-8")

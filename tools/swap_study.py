@@ -28,7 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     ditr = dl.Ditr.from_pretrained(args.weights)
     samples = [dl.load_sample(name) for name in dl.list_samples(args.split)[: args.limit]]
-    rows = swaps.run(ditr, samples, draws=args.draws)
+    rows = swaps.score_swaps(ditr, samples, draws=args.draws)
     frames = {
         sample.name: {
             name: {key: scores[k][key] and round(scores[k][key]["rmse"], 5) for key in swaps.SCORED}
@@ -36,7 +36,7 @@ def main(arguments: list[str] | None = None) -> int:
         }
         for k, sample in enumerate(samples)
     }
-    report, breakdown = swaps.summary(rows), swaps.breakdown(rows["default"])
+    report, breakdown = swaps.summarise_swaps(rows), swaps.breakdown(rows["default"])
     notes = {"split": args.split, "images": len(samples), "draws": args.draws}
     begin = results.head(results.tool_command("swap_study", arguments), args.weights, **notes)
     results.write(args.json, begin, {"summary": report, "breakdown": breakdown, "rmse_m": frames})

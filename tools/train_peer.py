@@ -8,7 +8,7 @@ On one core (set OMP_NUM_THREADS=1) two arms can be trained side by side. A stop
 import argparse
 from pathlib import Path
 
-from ditr_lite.peers.train import ARMS, train_arm
+from ditr_lite.peers.train import ARMS, train_peers
 
 
 def main() -> None:
@@ -23,7 +23,8 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=Path("outputs/training/peers"))
     parser.add_argument("--limit", type=int, default=600, help="use only the first scenes of each folder")
     args = parser.parse_args()
-    for name, notes in train_arm(args.arm, args.minutes, args.seed, args.data, args.out, args.work, args.limit).items():
+    trained = train_peers(args.arm, args.minutes, args.seed, args.data, args.out, args.work, args.limit)
+    for name, notes in trained.items():
         print(f"{args.out / name}-{args.seed}: {notes['steps']} steps in {notes['seconds']:.0f} s")
 
 

@@ -59,7 +59,8 @@ class ClassicalBoundary:
         dx = cv2.Sobel(lab, cv2.CV_32F, 1, 0, ksize=3) / 4  # / 4: the height of a step; (H, W, 3)
         dy = cv2.Sobel(lab, cv2.CV_32F, 0, 1, ksize=3) / 4
         strongest = (dx**2 + dy**2).argmax(axis=2)[..., None]
-        dx, dy = (np.take_along_axis(d, strongest, axis=2)[..., 0] for d in (dx, dy))  # (H, W, 3) -> (H, W)
+        dx = np.take_along_axis(dx, strongest, axis=2)[..., 0]  # (H, W, 3) -> (H, W)
+        dy = np.take_along_axis(dy, strongest, axis=2)[..., 0]
         scale = 64  # cv2.Canny takes int16 derivatives: keep 1/64 of a unit; 2^15 / 64 = 512 is never reached
         ints = [np.ascontiguousarray(np.rint(d * scale).astype(np.int16)) for d in (dx, dy)]
         return cv2.Canny(*ints, self.low * scale, self.high * scale, L2gradient=True) > 0

@@ -2,85 +2,18 @@
 
 Paper: Sec. IV-C "Feature Extractor". The paper runs SAM (ViT-L) on RGB and on depth and calls the outlines of its
 masks M_RGB and M_D; how a set of masks becomes a map is not said. Here anything that turns an image into a bool map
-is a backend, chosen by name: ``classical`` needs no weights, ``learned`` is a small network of ours (shipped), ``sam``
-is the paper's network (bring a checkpoint), ``none`` finds nothing.
+is a backend, see ``backends``.
 
 Convention: a boundary belongs to the surface in front: the marked pixels are its outermost ones, one pixel wide.
 """
 
-from collections.abc import Callable
-from importlib import import_module
-from pathlib import Path
-from typing import Protocol
-
 import cv2
 import numpy as np
 
+from .backends import Backend
 from .classical import ClassicalBoundary
 
-__all__ = [
-    "BACKENDS",
-    "Backend",
-    "ClassicalBoundary",
-    "boundary_maps",
-    "check_pair",
-    "depth_aware",
-    "get_backend",
-    "within",
-]
-
 M_RGB, M_D, M_DA = range(3)  # places in what boundary_maps returns
-
-
-class Backend(Protocol):
-    """Whatever finds boundaries: one call, for colour and for depth."""
-
-    def __call__(self, image: np.ndarray) -> np.ndarray:
-        """Return (H, W) bool for an image (H, W, 3) uint8, or a depth map (H, W) float metres with 0 = missing."""
-
-
-def _load_classical(path: Path | str | None = None) -> Backend:
-    _refuse_path("classical", path)
-    return ClassicalBoundary()
-
-
-def _load_none(path: Path | str | None = None) -> Backend:
-    _refuse_path("none", path)
-    return lambda image: np.zeros(np.shape(image)[:2], bool)
-
-
-def _refuse_path(name: str, path: Path | str | None) -> None:
-    if path is not None:
-        raise ValueError(f"backend {name!r} has no weights; leave out path={str(path)!r}")
-
-
-def _load_module(name: str) -> Callable[[Path | str | None], Backend]:
-    # imported on first use: neither torch nor transformers is needed by those who do not ask for them
-    return lambda path=None: import_module(f"{__package__}.{name}").load(path)
-
-
-# name -> loader(path or None). A loader, not an object: weights are read only by those who ask for them.
-BACKENDS: dict[str, Callable[..., Backend]] = {
-    "classical": _load_classical,
-    "learned": _load_module("learned"),
-    "sam": _load_module("sam"),
-    "none": _load_none,
-}
-
-
-def get_backend(name: str, path: Path | str | None = None) -> Backend:
-    """Return the boundary backend called ``name``.
-
-    Args:
-        name: a key of :data:`BACKENDS`.
-        path: ``learned``: a weights folder other than the shipped one; ``sam``: the folder of the checkpoint.
-
-    Raises:
-        ValueError: for an unknown name, or weights that are absent or cannot be used.
-    """
-    if name not in BACKENDS:
-        raise ValueError(f"unknown boundary backend {name!r}; choose one of {', '.join(BACKENDS)}")
-    return BACKENDS[name](path)
 
 
 def within(mask: np.ndarray, tolerance: float) -> np.ndarray:
@@ -124,7 +57,7 @@ def boundary_maps(
     Args:
         rgb: (H, W, 3) uint8.
         depth: (H, W) float metres, raw, 0 = missing.
-        backend: what finds boundaries, from :func:`get_backend`; None for the classical one.
+        backend: what finds boundaries, from :func:`backends.get_backend`; None for the classical one.
         tolerance: see :func:`depth_aware`.
 
     Raises:

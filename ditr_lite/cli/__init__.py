@@ -23,6 +23,7 @@ COMMANDS = {
     ),
     "train-boundary": (train.TrainBoundary, "train the learned boundary backend; a stopped run goes on where it was"),
     "bench-boundary": (evaluate.BenchBoundary, "score every boundary backend against the exact outlines of the scenes"),
+    "compare": (evaluate.Compare, "score two weights folders on the same frames: paired differences"),
     "floor": (evaluate.Floor, "measure what the autoencoder loses of the ground truth, and how many codes it uses"),
 }
 # OSError: files that are absent, unreadable, or cannot be written; RuntimeError: a reader's own part, torch, a library

@@ -87,11 +87,11 @@ def run(options: Namespace) -> int:
         raise ValueError(f"the following arguments are required: {', '.join(missing)} (see `complete --help`)")
     job = Job(options.rgb, options.depth, options.out, options.region, options.ply, options.panel)
     job.check(options.intrinsics)
-    frame = read(job, options)
+    frame = read_job(job, options)
     ditr = load_system(options)
     depth = frame[1]
     completion = complete(ditr, frame, options)
-    write(job, frame, completion, options)
+    write_job(job, frame, completion, options)
     height, width = depth.shape
     region, out = completion.region, completion.depth
     print(
@@ -117,8 +117,8 @@ def complete_many(options: Namespace) -> int:
         system = Steady(system)
     for job in tqdm(waiting, desc="frames", unit="frame"):
         try:
-            frame = read(job, options)
-            write(job, frame, complete(system, frame, options), options)
+            frame = read_job(job, options)
+            write_job(job, frame, complete(system, frame, options), options)
         except (ValueError, OSError) as error:
             failed.append((job.depth, " ".join(str(error).split())))
     for path, reason in failed:
@@ -192,7 +192,7 @@ def between(found: dict[str, Path]) -> dict[str, Path]:
     return {name[start : len(name) - end]: path for name, path in found.items()}
 
 
-def read(job: Job, options: Namespace):
+def read_job(job: Job, options: Namespace):
     """Return rgb, depth, region or None, camera or None, and the metres per unit of a PNG that is written."""
     from ..files import read_depth, read_intrinsics, read_mask, read_rgb, unit_of
     from ..units import upsample_sparse
@@ -216,7 +216,7 @@ def complete(system, frame, options: Namespace):
     return system(rgb, depth, region, options.steps, options.samples, options.adjust, options.seed)
 
 
-def write(job: Job, frame, completion, options: Namespace) -> None:
+def write_job(job: Job, frame, completion, options: Namespace) -> None:
     """Write what the command line asks for."""
     from ..files import write_depth, write_ply
 

@@ -30,9 +30,7 @@ class Evaluate:
     @staticmethod
     def add_arguments(p: ArgumentParser) -> None:
         """Add what ``evaluate`` takes."""
-        p.add_argument("--dataset", choices=DATASETS, help="a real dataset instead of the rendered scenes")
-        p.add_argument("--root", type=Path, help="the folder that holds the dataset (or other rendered scenes)")
-        p.add_argument("--split", help=f"of the scenes: {', '.join(SPLITS)} (default test); of a dataset: its own")
+        add_frames(p)
         p.add_argument(
             "--protocol", choices=PROTOCOLS, help="also score as that code does (cleargrasp's dataset: cleargrasp)"
         )
@@ -115,7 +113,7 @@ class Bench:
         print(scoring.format_report(scoring.summary(results)))
         for name in own:
             print(against_best(results, name, tuple(REGISTRY)))
-        more = notes(source, options) | ({} if options.no_cost else {"cost": costs(options, ditr, frames[0])})
+        more = notes(source, options) | ({} if options.no_cost else {"cost": measure_costs(options, ditr, frames[0])})
         if options.json:
             written = scoring.to_json(results, command_line(options), options.weights, **more)
             write_json(options.json, written)
@@ -144,7 +142,7 @@ class BenchBoundary:
         frames = scenes_of(options.split, options.root, options.limit)
         tuning = scenes_of("train", options.root, None)
         results = boundary_scoring.bench(frames, tuning, options.tolerance, options.weights, options.sam)
-        print(boundary_scoring.format_table(results["summary"]))
+        print(boundary_scoring.format_scores(results["summary"]))
         if options.json:
             from ..files import write_json
 
@@ -176,6 +174,39 @@ class Floor:
         if options.json:
             begin = results.head(command_line(options), options.weights, ["autoencoder"], source=source)
             results.write(options.json, begin, report)
+
+
+class Compare:
+    """Score two weights folders on the same frames and print the paired differences."""
+
+    @staticmethod
+    def add_arguments(p: ArgumentParser) -> None:
+        """Add what ``compare`` takes."""
+        p.add_argument("first", type=Path, metavar="A", help="weights folder, e.g. ditr_lite/weights")
+        p.add_argument("second", type=Path, metavar="B", help="another; the differences are B - A")
+        add_frames(p)
+        p.add_argument("--limit", type=whole(), help="only the first frames")
+        p.add_argument("--given-region", action="store_true", help="hand over the true region instead of finding it")
+        p.add_argument("--json", type=Path, help="also write every frame's errors to this file")
+        p.set_defaults(skip_bad=False)
+
+    @staticmethod
+    def run(options: Namespace) -> None:
+        """Print the table."""
+        check_results(options.json)
+        from ..evaluation.compare import compare_weights, format_weights, weights_to_json
+        from ..store import read_card
+
+        for folder in (options.first, options.second):
+            read_card(folder)  # refused before anything is computed
+        source, frames = chosen_frames(options)
+        found = compare_weights(options.first, options.second, frames, options.given_region)
+        print(f"{source}, region {'given' if options.given_region else 'found by stage one'}")
+        print(format_weights(found, str(options.first), str(options.second)))
+        if options.json:
+            from ..files import write_json
+
+            write_json(options.json, weights_to_json(found, command_line(options), options.first, options.second))
 
 
 class Usable:
@@ -255,6 +286,13 @@ def against_best(results: Sequence[dict], name: str, baselines: Sequence[str]) -
     return "\n".join(lines)
 
 
+def add_frames(p: ArgumentParser) -> None:
+    """Add the arguments that choose rendered scenes or a dataset."""
+    p.add_argument("--dataset", choices=DATASETS, help="a real dataset instead of the rendered scenes")
+    p.add_argument("--root", type=Path, help="the folder that holds the dataset (or other rendered scenes)")
+    p.add_argument("--split", help=f"of the scenes: {', '.join(SPLITS)} (default test); of a dataset: its own")
+
+
 def add_scenes(p: ArgumentParser) -> None:
     """Add the arguments that choose rendered scenes."""
     p.add_argument("--root", type=Path, help="a folder of other rendered scenes")
@@ -297,7 +335,7 @@ def chosen_frames(options: Namespace) -> tuple[str, First]:
     return f"{options.dataset} in {options.root}{f', split {options.split}' if options.split else ''}", frames
 
 
-def costs(options: Namespace, ditr, sample) -> dict[str, Any]:
+def measure_costs(options: Namespace, ditr, sample) -> dict[str, Any]:
     """Measure and print time, memory and operations at both frame sizes, the yardstick and training speed."""
     from ..evaluation import timing
 
@@ -306,7 +344,7 @@ def costs(options: Namespace, ditr, sample) -> dict[str, Any]:
     print(f"\na product of two float32 matrices 2048 x 2048 takes {found['machine']['product_ms']:.0f} ms here")
     for frame in (sample, timing.enlarged(sample)):
         height, width = frame.depth.shape
-        rows = timing.measure(ditr, frame, runs, steps, samples)
+        rows = timing.time_stages(ditr, frame, runs, steps, samples)
         peaks = timing.stage_peaks(options.weights, frame, steps, samples)
         rows = [{**row, "peak_mb": peaks[row["stage"]]} for row in rows]
         found["frames"].append({"size": [height, width], "stages": rows})

@@ -35,7 +35,7 @@ def add_arguments(p: ArgumentParser) -> None:
 def run(options: Namespace) -> None:
     """Render scenes of one split, by default those that the repository ships; or export existing ones."""
     if options.export_as:
-        return export(options)
+        return run_export(options)
     if options.root:
         raise ValueError("--root is where --export-as takes its scenes from; rendering goes to --out")
     workers = options.workers or os.cpu_count() or 1
@@ -65,7 +65,7 @@ def _is_scene(split: str, path: Path) -> bool:
     return path.is_dir() and path.name.startswith(f"{split}_")
 
 
-def export(options: Namespace) -> None:
+def run_export(options: Namespace) -> None:
     """Write existing scenes in the layout of a real dataset."""
     from ..data import list_samples, load_sample
     from ..datasets import export as exports

@@ -1,8 +1,13 @@
-"""What trains: ``train`` (with ``--preset tiny`` and settings: a quick experiment) and ``train-boundary``."""
+"""What trains: ``train`` and ``train-boundary``.
+
+``train --preset tiny`` with settings is a quick experiment, ``train --start`` fine-tunes. Several processes are started
+by ``torchrun --nproc-per-node N -m ditr_lite train ...`` or ``accelerate launch -m ditr_lite train ...``.
+"""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from .evaluate import DATASETS
 from .shared import MAKE_TRAIN, MAKE_VAL, check_folder, check_scenes, command_line, has_scenes, real, seed, whole
 
 TRAIN = (Path("outputs/scenes/train"), Path("outputs/scenes/rooms_train"))  # those that are there
@@ -42,42 +47,61 @@ class Train:
             metavar="DIR",
             help="folders of scenes to validate on (default: the shipped val and rooms_val)",
         )
-        p.add_argument("--out", type=Path, help="weights folder (default: outputs/weights/PRESET)")
+        p.add_argument(
+            "--out", type=Path, help="weights folder (default: outputs/weights/PRESET); required where it holds others"
+        )
         p.add_argument("--work", type=Path, help="folder for checkpoints and logs (default: in outputs/training)")
         p.add_argument(
-            "--start", type=Path, help="weights folder to go on from (default: afresh), e.g. the shipped one"
+            "--start",
+            type=Path,
+            help="fine-tune the weights of this folder, e.g. ditr_lite/weights, by a gentle recipe of its own; needs "
+            "--data or --dataset, and --out; what does not help is not kept",
         )
         p.add_argument("--boundary", default="classical", help="backend of the boundary maps (%(default)s)")
+        add_dataset(p)
+        add_engine(p)
+        p.add_argument("--cost", action="store_true", help="only print what the training would cost")
         add_recipe(p, "steps instead of the recipe's")
 
     @staticmethod
     def run(options: Namespace) -> None:
         """Train and print where the weights are and how good."""
-        from dataclasses import replace
-
         from ..config import override, preset
         from ..training import parts as fitting
-        from ..training.recipes import RECIPES
+        from ..training.loop import is_first, leave
 
         if options.part not in ("all", *fitting.PARTS):
             raise ValueError(f"unknown part {options.part!r}; choose all or one of {', '.join(fitting.PARTS)}")
         settings = dict(_setting(text) for text in options.set)
+        if options.start is not None:
+            return fine_tune(options, settings)
         config = override(preset(options.preset), **settings)
-        if options.preset == "tiny" and settings and options.part == "all":
+        if options.preset == "tiny" and settings and options.part == "all" and not options.dataset:
             return experiment(options, settings)
         data, val = folders(options)
+        real = real_frames(options)
         tag = "-".join([options.preset, *([fitting.folder_name(settings)] if settings else [])])
         out = options.out or Path("outputs/weights") / tag
         work = options.work or Path("outputs/training") / tag
         for folder in (out, work):
             check_folder(folder, _is_of_training, "weights and checkpoints")
-        for part in fitting.PARTS if options.part == "all" else [options.part]:
-            recipe = replace(RECIPES[part], **changes(options))
-            how = (options.limit, options.seed, options.boundary, options.start, command_line(options))
-            notes = fitting.train(part, config, data, val, out, work, recipe, *how)
+        has = [p for p in fitting.PARTS if p != "detail" or config.detail.width]
+        chosen = has if options.part == "all" else [options.part]
+        if options.out is None:
+            check_replaced(out, chosen, command_line(options))
+        for part in chosen:
+            recipe = recipe_of(options, part, count_frames(options, data, real))
+            show_cost(options, part, config, recipe)
+            if options.cost:
+                continue
+            how = {"limit": options.limit, "seed": options.seed, "boundary": options.boundary}
+            how |= {"command": command_line(options), "engine": engine_of(options), "real": real}
+            notes = fitting.train(part, config, data, val, out=out, work=work, recipe=recipe, **how)
             last = {k: v for k, v in (notes["curve"] or [{}])[-1].items() if "step" not in k and "second" not in k}
             figures = ", ".join(f"{k} {v:.4f}" for k, v in last.items())
-            print(f"{Path(out) / part}.safetensors: {notes['steps']} steps, {notes['seconds']:.0f} s; {figures}")
+            if is_first():
+                print(f"{Path(out) / part}.safetensors: {notes['steps']} steps, {notes['seconds']:.0f} s; {figures}")
+        leave()
 
 
 class TrainBoundary:
@@ -92,6 +116,7 @@ class TrainBoundary:
         p.add_argument(
             "--work", type=Path, default=Path("outputs/training"), help="for checkpoints and logs (%(default)s)"
         )
+        add_engine(p)
         add_recipe(p, "steps of the colour network instead of the recipe's; the depth network takes a third")
 
     @staticmethod
@@ -103,17 +128,159 @@ class TrainBoundary:
         val = options.val or SAMPLES / "val"
         check_scenes([options.data], MAKE_TRAIN)
         check_scenes([val], MAKE_VAL)
-        how = (options.out, options.work, options.limit, options.seed, command_line(options))
+        how = (options.out, options.work, options.limit, options.seed, command_line(options), engine_of(options))
         notes = train_boundary(options.data, val, *how, **changes(options))
         each = (f"{m} F {notes[m]['val_f']:.3f} at threshold {notes[m]['threshold']}" for m in ("rgb", "depth"))
         print(f"{options.out / 'boundary'}.safetensors: {'; '.join(each)} (validation)")
+
+
+def fine_tune(options: Namespace, settings: dict[str, str]) -> None:
+    """Fine-tune one part or all, print what that did to held-out frames, and keep the better weights."""
+    from dataclasses import replace
+
+    from ..config import override
+    from ..store import read_config
+    from ..training import adapt, parts
+    from ..training.loop import is_first, leave
+
+    if options.out is None:
+        raise ValueError("--start needs --out, a folder for the new weights: those to start from are never replaced")
+    adapt.check_out(options.out, options.start)
+    config = override(read_config(options.start), **settings)
+    work = options.work or Path("outputs/training") / f"from-{Path(options.start).name}-{Path(options.out).name}"
+    for folder in (options.out, work):
+        check_folder(folder, _is_of_training, "weights and checkpoints")
+    has = [p for p in parts.PARTS if p in adapt.RECIPES and (p != "detail" or config.detail.width)]
+    for part in has if options.part == "all" else [options.part]:
+        pool, held_out = own_frames(options, part, config)
+        if part not in adapt.RECIPES:
+            raise ValueError(f"cannot fine-tune {part!r}: choose all or one of {', '.join(has)}")
+        recipe = replace(adapt.RECIPES[part], **changes(options))
+        how = {"seed": options.seed, "boundary": options.boundary, "command": command_line(options)}
+        how["engine"] = engine_of(options)
+        notes = adapt.adapt(part, config, pool, held_out, options.start, options.out, work, recipe, **how)
+        if is_first():
+            print(judgement(part, notes))
+    leave()
+
+
+def judgement(part: str, notes: dict) -> str:
+    """Return in words what fine-tuning did to the frames that judge it."""
+    from ..evaluation.statistics import format_interval, mean_known, paired_bootstrap
+
+    judged = notes["judged"]
+    before, after = judged["before"], judged["after"]
+    if all(error is None for error in before):
+        return f"{part}: the held-out frames ask nothing of it; the weights stay as they were"
+    means = [mean_known(errors) for errors in (before, after)]
+    difference = paired_bootstrap(after, before)
+    said = "helped" if difference[2] < 0 else "harmed" if difference[1] > 0 else "made no measurable difference"
+    kept = f"the fine-tuned weights of step {notes['best_step']} are kept"
+    if judged["kept"] == "start":
+        kept = "the weights of the start are kept"
+    frames = sum(error is not None for error in before)
+    return (
+        f"{part}: error of {frames} held-out frames {means[0]:.4f} before, {means[1]:.4f} after, difference "
+        f"{format_interval(difference, 1, '+.4f')}: fine-tuning {said}; {kept}"
+    )
+
+
+def own_frames(options: Namespace, part: str, config):
+    """Return what fine-tuning draws from, and the frames that it is judged by."""
+    from ..data import SAMPLES
+    from ..training.adapt import hold_out, mixed
+    from ..training.scenes import join, load_scenes
+
+    real = real_frames(options)
+    if real is None and not options.data:
+        raise ValueError("--start needs frames of your own: --data DIR, or --dataset NAME --root DIR")
+    own = [load_scenes(folder, options.limit) for folder in options.data or []]
+    own += real.scenes(part, config, real.split) if real else []
+    if options.val:
+        held_out = [load_scenes(folder) for folder in options.val]
+    elif real and real.val_split:
+        held_out = list(real.held_out(part, config).values())
+    else:
+        pairs = [hold_out(scenes) for scenes in own]
+        own, held_out = ([pair[k] for pair in pairs] for k in (0, 1))
+    share = 0.5 if options.scene_share is None else options.scene_share
+    first = [load_scenes(SAMPLES / "train")] if share else []
+    return mixed(own, first, share), join(held_out, config.size)
+
+
+def real_frames(options: Namespace):
+    """Return the frames of a dataset that the command line names, or None."""
+    if options.dataset is None:
+        if given := [k for k in ("root", "split", "val_split") if getattr(options, k)]:
+            raise ValueError(f"--{given[0].replace('_', '-')} is of --dataset NAME")
+        return None
+    from ..training.readers import RealFrames
+
+    if options.root is None:
+        raise ValueError(f"--dataset {options.dataset} needs --root DIR, the folder that holds it")
+    share = options.scene_share
+    if share is None:
+        share = 0.5 if options.data and options.start is None else 0.0
+    how = {"zero_region": options.zero_region, "limit": options.limit, "scene_share": share}
+    return RealFrames(options.dataset, options.root, options.split, options.val_split, **how)
+
+
+def check_replaced(out: Path, parts: list[str], command: str) -> None:
+    """Refuse to replace weights that another command made, where nobody said where to put the new ones."""
+    from ..store import CARD, read_card
+
+    if not (out / CARD).is_file():
+        return
+    there = read_card(out)["parts"]
+    if other := [p for p in parts if p in there and there[p].get("command") != command]:
+        made = there[other[0]].get("command")
+        raise ValueError(
+            f"{out} holds {other[0]!r} by another command ({made}): give --out FOLDER, this one or another"
+        )
+
+
+def recipe_of(options: Namespace, part: str, frames: int):
+    """Return how a part is trained: the preset's recipe with what the command line changes of it."""
+    from dataclasses import replace
+
+    from ..training.as_the_paper import paper_recipe
+    from ..training.recipes import RECIPES
+
+    recipe = paper_recipe(part, frames) if options.preset == "paper" and part != "detail" else RECIPES[part]
+    return replace(recipe, **changes(options))
+
+
+def count_frames(options: Namespace, data: list[Path], real) -> int:
+    """Return how many frames an epoch has."""
+    count = 0
+    if real is None or real.scene_share:
+        count += sum(len(list(folder.glob("*/meta.json"))[: options.limit]) for folder in data)
+    if real is not None:
+        from ..datasets import REGISTRY
+
+        count += len(REGISTRY[real.name](real.root, real.split).names[: real.limit])
+    return count
+
+
+def show_cost(options: Namespace, part: str, config, recipe) -> None:
+    """Print the arithmetic of a training before it starts: for the paper's preset, or where it is asked for."""
+    if options.preset != "paper" and not options.cost:
+        return
+    from accelerate import PartialState
+
+    from ..evaluation.training_costs import conv_rate, format_cost
+
+    state = PartialState(cpu=options.cpu)
+    if state.is_main_process:
+        shares = state.num_processes * options.accumulate
+        print(format_cost(part, config, recipe, shares, state.num_processes * conv_rate()), flush=True)
 
 
 def experiment(options: Namespace, settings: dict[str, str]) -> None:
     """Train the tiny preset as it is and with settings changed, score both on the same frames, and compare them."""
     from dataclasses import replace
 
-    from ..studies.experiment import QUICK, compare, format_comparison
+    from ..studies.experiment import QUICK, compare_settings, format_comparison
 
     if options.start:
         raise ValueError("a comparison trains both systems afresh: leave --start out, or train one --part with it")
@@ -124,7 +291,42 @@ def experiment(options: Namespace, settings: dict[str, str]) -> None:
     how = {name: getattr(options, name) for name in ("out", "work", "limit", "seed", "boundary")}
     how |= {name: (getattr(options, name) or [None])[0] for name in ("data", "val")}
     how = {name: value for name, value in how.items() if value is not None}
-    print(format_comparison(compare(settings, recipes=recipes, command=command_line(options), **how)))
+    print(format_comparison(compare_settings(settings, recipes=recipes, command=command_line(options), **how)))
+
+
+def add_dataset(p: ArgumentParser) -> None:
+    """Add the arguments that choose frames of a real dataset."""
+    p.add_argument("--dataset", choices=DATASETS, help="train on a real dataset; with --data, mixed with scenes")
+    p.add_argument("--root", type=Path, help="the folder that holds the dataset")
+    p.add_argument("--split", help="of the dataset, to train on (default: all of it)")
+    p.add_argument("--val-split", help="of the dataset, to validate on besides the scenes")
+    p.add_argument(
+        "--scene-share",
+        type=real(-1e-9, 1, "a share"),
+        metavar="SHARE",
+        help="share of the draws that are rendered scenes (default: 0.5 where --data is given beside --dataset, "
+        "otherwise 0; in fine-tuning 0.5, of the shipped training scenes)",
+    )
+    p.add_argument(
+        "--zero-region",
+        action="store_true",
+        help="set the dataset's readings inside the region to zero (the paper)",
+    )
+
+
+def add_engine(p: ArgumentParser) -> None:
+    """Add the arguments that say on what and how a training runs; several processes are started by torchrun."""
+    p.add_argument("--accumulate", type=whole(), default=1, help="parts of a batch taken in turn, for less memory (1)")
+    p.add_argument("--workers", type=whole(0), default=0, help="processes that prepare batches (%(default)s)")
+    p.add_argument("--precision", default="auto", help="auto (default; bfloat16 where the GPU has it), no or bf16")
+    p.add_argument("--cpu", action="store_true", help="use no GPU")
+
+
+def engine_of(options: Namespace):
+    """Return on what and how a training runs."""
+    from ..training.loop import Engine
+
+    return Engine(options.accumulate, options.workers, options.precision, options.cpu)
 
 
 def add_recipe(p: ArgumentParser, steps: str) -> None:
@@ -146,6 +348,8 @@ def folders(options: Namespace) -> tuple[list[Path], list[Path]]:
     from ..data import SAMPLES
 
     data = options.data or [folder for folder in TRAIN if has_scenes(folder)] or [TRAIN[0]]
+    if getattr(options, "dataset", None) and not options.data:
+        data = []
     val = options.val or [SAMPLES / split for split in VAL if has_scenes(SAMPLES / split)] or [SAMPLES / VAL[0]]
     check_scenes(data, MAKE_TRAIN)
     check_scenes(val, MAKE_VAL)

@@ -120,7 +120,7 @@ def bench(
     }
 
 
-def format_table(summary: Mapping[str, Mapping[str, Mapping[str, list | None]]]) -> str:
+def format_scores(summary: Mapping[str, Mapping[str, Mapping[str, list | None]]]) -> str:
     """Return the summary as a table for the terminal."""
     lines = [f"{'map':6} {'backend':10}" + "".join(f"{c:>14}" for c in COLUMNS) + f"{'F: learned -':>25}"]
     for m, backends in summary.items():

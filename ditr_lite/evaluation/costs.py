@@ -85,9 +85,10 @@ def _stage_two(
     net, vae = parts[branches[0]], parts["autoencoder"]
     samples, own = config.sampler.samples, len(branches)
     one, rgb = torch.zeros(1, 1, *size), torch.zeros(1, 3, *size)
-    latents = torch.zeros(1, config.autoencoder.latent_channels, *(n // STRIDE for n in size))
+    latents = torch.zeros(1, config.autoencoder.latent_channels, size[0] // STRIDE, size[1] // STRIDE)
     image = torch.zeros(1, len(CHANNELS), *size)
-    rows, colour = [_row("two", "encoder", shared * _parameters(vae.encoder), views, vae.encode, one)], []
+    rows = [_row("two", "encoder", shared * _parameters(vae.encoder), views, vae.encode, one)]
+    colour = []
     if "encoder" in parts:
         rows.append(
             _row("two", "picture encoder", shared * _parameters(parts["encoder"]), views, parts["encoder"], rgb)
@@ -96,7 +97,8 @@ def _stage_two(
     features = net.features(image, colour)
     step = (latents, torch.zeros(1, dtype=torch.long), features, latents, latents[:, :1])
     extractor = own * _parameters(net.extractor)
-    rest, calls = own * _parameters(net) - extractor, views * samples * config.sampler.steps
+    rest = own * _parameters(net) - extractor
+    calls = views * samples * config.sampler.steps
     rows.append(_row("two", "F(x)", extractor, views, net.features, image, colour))
     rows.append(_row("two", "denoiser, one step", rest, calls, net, *step))
     rows.append(_row("two", "decoder", shared * _parameters(vae.decoder), views * samples, vae.decode, latents))
@@ -188,9 +190,10 @@ def level_costs(
     for name, module in parts.items():
         inputs, output = seen[module]
         shape = tuple((output[-1] if isinstance(output, list) else output).shape[1:])
-        mflops, attention = count_flops(module, *inputs) / 1e6, getattr(module, "attention", False)
-        weights = _parameters(module)
-        rows.append({"part": name, "shape": shape, "parameters": weights, "mflops": mflops, "attention": attention})
+        row = {"part": name, "shape": shape, "parameters": _parameters(module)}
+        row["mflops"] = count_flops(module, *inputs) / 1e6
+        row["attention"] = getattr(module, "attention", False)
+        rows.append(row)
     return rows
 
 

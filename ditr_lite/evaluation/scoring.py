@@ -20,7 +20,7 @@ from ..pipeline import Completion, Ditr, compose
 from ..units import check_depth, clean_depth
 from .protocols import Protocol
 from .results import head
-from .stage_one import PER_CLASS, STAGE_ONE, stage_one
+from .stage_one import PER_CLASS, STAGE_ONE, score_stage_one
 from .statistics import bootstrap_mean, format_interval, interval, paired_bootstrap
 
 DITR, SENSOR = RESERVED = "ditr", "sensor"  # rows that are not methods
@@ -64,7 +64,8 @@ def run_methods(
         ValueError: for a frame without ground truth, or without a region to give; a method named as in ``RESERVED``.
     """
     methods = REGISTRY if methods is None else methods
-    if taken := [name for name in RESERVED if name in methods]:
+    taken = [name for name in RESERVED if name in methods]
+    if taken:
         raise ValueError(f"a method cannot be called {taken[0]!r}, which is a row of its own: give it another name")
     results = []
     for sample in tqdm(samples, desc="frames", unit="frame", **({} if progress else {"disable": True})):
@@ -78,7 +79,7 @@ def run_methods(
         for name, depth in maps.items():
             result["methods"][name] = metrics.evaluate(depth, sample.depth_gt, sample.region, sample.depth)
         result["methods"][SENSOR] = score_sensor(sample)
-        result["stage_one"] = None if out is None else stage_one(out, sample, ditr)
+        result["stage_one"] = None if out is None else score_stage_one(out, sample, ditr)
         result["kept"] = out is None or kept_bit_for_bit(out, sample.depth)
         if protocol is not None:
             fed = replace(sample, depth=protocol.prepare(sample.depth))
@@ -137,22 +138,21 @@ def summary(results: Sequence[Result], protocol: Protocol | None = None) -> dict
     """
     if not results:
         raise ValueError("no results to summarise: run_methods was given no sample")
-    rmse = {name: {key: _rmse(results, name, key) for key in COMPARED} for name in results[0]["methods"]}
     found = [r["stage_one"] for r in results if r["stage_one"]]
     out = {
         "images": len(results),
         "methods": _averages(results, "methods", metrics.average),
-        "differences": {
-            name: {key: interval(paired_bootstrap, rmse[DITR][key], rmse[name][key]) for key in COMPARED}
-            for name in rmse
-            if name != DITR
-        },
-        "stage_one": {k: interval(bootstrap_mean, [f.get(k) for f in found]) for k in STAGE_ONE + PER_CLASS},
+        "differences": {name: _differences(results, name) for name in results[0]["methods"] if name != DITR},
+        "stage_one": {},
         "kept": all(r["kept"] for r in results),
         "refused": {},
     }
+    for key in STAGE_ONE + PER_CLASS:
+        values = [f.get(key) for f in found]
+        out["stage_one"][key] = interval(bootstrap_mean, values)
     for name in results[0]["methods"]:
-        if reasons := Counter(r["refused"][name] for r in results if name in r["refused"]):
+        reasons = Counter(r["refused"][name] for r in results if name in r["refused"])
+        if reasons:
             out["refused"][name] = dict(reasons)
     if "protocol" in results[0]:
         out["protocol"] = _averages(results, "protocol", protocol.average if protocol else metrics.average)
@@ -178,7 +178,8 @@ def format_report(report: Mapping[str, Any], protocol: Protocol | None = None) -
         rows = {name: row or {} for name, row in report["protocol"].items()}
         lines += [f"As {protocol.name}'s code scores: {protocol.describe()}"]
         lines += [metrics.format_table(rows, protocol.sets)]
-    if (one := report["stage_one"])["iou"] is not None:
+    one = report["stage_one"]
+    if one["iou"] is not None:
         figures = (f"{key} {format_interval(one[key], 1, '.3f')}" for key in STAGE_ONE + PER_CLASS if one.get(key))
         lines.append("stage one: " + ", ".join(figures) + " (miss_rate and area_ratio after refinement)")
     lines.append(f"{SENSOR} = bare readings, scored only where there are any; all others are dense")
@@ -204,17 +205,28 @@ def to_json(
         protocol: the one that they were scored with, if any.
         notes: anything else to write down, e.g. the split.
     """
-    frames = {
-        r["name"]: {m: {k: v and round(v["rmse"], 6) for k, v in (s or {}).items()} for m, s in r["methods"].items()}
-        for r in results
-    }
+    frames = {}
+    for result in results:
+        rows = frames[result["name"]] = {}
+        for method, scores in result["methods"].items():
+            rows[method] = {key: score and round(score["rmse"], 6) for key, score in (scores or {}).items()}
     begin = head(command, weights, **notes)
     return {**begin, "summary": summary(results, protocol), "rmse_m": frames}
 
 
 def _averages(results: Sequence[Result], key: str, average: Callable[[list], dict]) -> dict[str, Any]:
-    scored = {name: [r[key][name] for r in results if r[key][name]] for name in results[0][key]}
-    return {name: average(rows) if rows else None for name, rows in scored.items()}
+    averages = {}
+    for name in results[0][key]:
+        rows = [r[key][name] for r in results if r[key][name]]
+        averages[name] = average(rows) if rows else None
+    return averages
+
+
+def _differences(results: Sequence[Result], name: str) -> dict[str, list[float] | None]:
+    found = {}
+    for key in COMPARED:
+        found[key] = interval(paired_bootstrap, _rmse(results, DITR, key), _rmse(results, name, key))
+    return found
 
 
 def _rmse(results: Sequence[Result], name: str, key: str) -> list[float | None]:

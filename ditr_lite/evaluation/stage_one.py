@@ -6,16 +6,16 @@ Paper: Sec. IV-B, "the misclassified pixels can greatly harm the performance of 
 import numpy as np
 
 from .. import metrics
-from ..conditioning import fit_frame
 from ..data import REFLECTIVE, TRANSPARENT, Sample
 from ..pipeline import Completion, Ditr
+from ..windows import fit_frame
 
 STAGE_ONE = ("iou", "miss_rate", "area_ratio")  # of every frame; PER_CLASS where the materials are known
 CLASSES = {"transparent": TRANSPARENT, "reflective": REFLECTIVE}
 PER_CLASS = tuple(f"{figure}_{name}" for figure in ("iou", "recall") for name in CLASSES)
 
 
-def stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | None] | None:
+def score_stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | None] | None:
     """Return how well the region was found; None when it was given or is not known."""
     if out.probability is None or sample.region is None:
         return None

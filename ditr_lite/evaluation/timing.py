@@ -22,7 +22,7 @@ import torch
 from torch import Tensor, nn
 from tqdm.auto import tqdm
 
-from ..conditioning import CHANNELS, condition, fit_frame
+from ..conditioning import CHANNELS, condition
 from ..data import SAMPLES, Sample
 from ..pipeline import Ditr
 from ..stage_two import BRANCHES, Painter, Plan, Views, denoise, encode_picture, sharpen
@@ -30,6 +30,7 @@ from ..training import recipes
 from ..training.parts import painter_of
 from ..training.scenes import Pool, load_scenes
 from ..units import clean_depth
+from ..windows import fit_frame
 from .costs import count_flops
 
 MIN_RUNS = 5
@@ -50,7 +51,7 @@ REST = "the rest"  # Python itself, NumPy, arithmetic that is written as an oper
 
 
 @torch.no_grad()
-def measure(
+def time_stages(
     ditr: Ditr, sample: Sample, runs: int = MIN_RUNS, steps: int | None = None, samples: int | None = None
 ) -> list[dict[str, Any]]:
     """Time each stage on one frame and count its operations.

@@ -29,7 +29,10 @@ def quantizer(codebook: np.ndarray, **settings) -> VectorQuantizer:
 
 
 def check_conv_size(attempt: Function) -> bool:
-    """Check ``attempt(n, kernel, stride, padding) -> m``, the length that a convolution makes of length n."""
+    """Check ``attempt(n, kernel, stride, padding) -> m``, the length that a convolution makes of length n.
+
+    Whole numbers in and out.
+    """
 
     def right(n, kernel, stride, padding):
         conv = torch.nn.Conv1d(1, 1, kernel, stride, padding)
@@ -147,6 +150,7 @@ def check_commitment(attempt: Function) -> bool:
     """Check ``attempt(z (N, C), e (N, C), beta) -> (gradient on z, gradient on e)`` of codebook loss and commitment.
 
     The loss is mean((sg(z) - e)^2) + beta mean((z - sg(e))^2), means over all N C numbers (van den Oord et al., Eq. 3).
+    Arrays; two results, the gradient on z first.
     """
 
     def right(z, e, beta):
@@ -166,6 +170,7 @@ def check_commitment(attempt: Function) -> bool:
         "the sign on the code is turned: e is pulled towards z": wrong(lambda b: b, lambda b: -1),
         "the signs are turned: that is the step, not the gradient": wrong(lambda b: -b, lambda b: -1),
         "the derivative of a square has a factor 2": wrong(lambda b: b / 2, lambda b: 1 / 2),
+        "the order is turned: the gradient on z comes first, then that on e": lambda z, e, b: right(z, e, b)[::-1],
         "the mean is over all numbers: divide by N C, not by N": lambda z, e, b: right(z, e, b) * z.shape[1],
         "these are sums; the loss is a mean": lambda z, e, b: right(z, e, b) * z.size,
     }
@@ -176,7 +181,8 @@ def check_commitment(attempt: Function) -> bool:
 def check_moving_average(attempt: Function) -> bool:
     """Check ``attempt(count (K,), total (K, C), vectors (N, C), index (N,), decay) -> (K, C)``, the moved codes.
 
-    All codes are chosen at least once; ``index`` says by whom. A code is its moving total over its moving count.
+    All are arrays, ``decay`` a number. All codes are chosen at least once, some several times; ``index`` says by whom.
+    A code is its moving total over its moving count.
     """
 
     def right(count, total, vectors, index, decay):
@@ -193,7 +199,19 @@ def check_moving_average(attempt: Function) -> bool:
     def wrong(change):
         return lambda n, m, v, i, d: change(n[:, None], m, hits(n, v, i)[0][:, None], hits(n, v, i)[1], d)
 
+    def buffered(count, total, vectors, index, decay, count_too=True):  # what a[index] += does with repeated indices
+        sums, hit = np.zeros(total.shape), np.zeros(len(count))
+        sums[index] += vectors
+        hit[index] += 1
+        if not count_too:
+            hit = hits(count, vectors, index)[0]
+        return (decay * total + (1 - decay) * sums) / (decay * count + (1 - decay) * hit)[:, None]
+
     mistakes = {
+        "a[index] += v adds only one of several vectors of a code: np.add.at, or a sum over a mask": buffered,
+        "a[index] += v keeps a code's last vector only: np.add.at, or a sum over a mask": lambda n, m, v, i, d: (
+            buffered(n, m, v, i, d, count_too=False)
+        ),
         "decay weighs the past, 1 - decay the batch": wrong(
             lambda n, m, h, s, d: ((1 - d) * m + d * s) / ((1 - d) * n + d * h)
         ),

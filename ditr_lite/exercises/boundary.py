@@ -116,9 +116,13 @@ def check_scores(attempt: Function) -> bool:
 
 
 def check_suppress(attempt: Function) -> bool:
-    """Check ``attempt(masks, scores, max_overlap) -> list of indices`` that survive, best first."""
+    """Check ``attempt(masks (N, H, W), scores (N,), max_overlap) -> list of indices`` that survive, best first.
 
-    def greedy(masks, scores, limit, by=None, dropped_count=False):
+    A mask is dropped when its overlap with a kept one is larger than ``max_overlap``; equal is not larger. All scores
+    differ.
+    """
+
+    def greedy(masks, scores, limit, by=None, dropped_count=False, equal_stays=True):
         kept, seen = [], []
         for i in np.argsort(-scores, kind="stable"):
             rivals = seen if dropped_count else kept
@@ -126,7 +130,7 @@ def check_suppress(attempt: Function) -> bool:
             for k in rivals:
                 both = (masks[i] & masks[k]).sum()
                 values.append(both / (by(masks[i], masks[k]) if by else (masks[i] | masks[k]).sum()))
-            if all(v <= limit for v in values):
+            if all(v < limit or (equal_stays and v == limit) for v in values):
                 kept.append(int(i))
             seen.append(i)
         return kept
@@ -142,12 +146,18 @@ def check_suppress(attempt: Function) -> bool:
             m, s, t, by=lambda a, b: a.sum()
         ),
         "a mask that was dropped itself still drops others": lambda m, s, t: greedy(m, s, t, dropped_count=True),
+        "an overlap equal to max_overlap does not exceed it: such a mask is kept": lambda m, s, t: greedy(
+            m, s, t, equal_stays=False
+        ),
         "that keeps what overlaps; drop it": lambda m, s, t: [k for k in range(len(m)) if k not in suppress(m, s, t)],
     }
     chain = np.array([np.arange(12) // 3 == 9] * 3)  # three masks, each overlapping the next
     chain[0, 0:8], chain[1, 2:10], chain[2, 4:12] = True, True, True
     chain = chain[:, None]
+    half = np.zeros((3, 1, 12), bool)  # overlaps of exactly 0.5 and 0.25
+    half[0, 0, :8], half[1, 0, :4], half[2, 0, 6:8] = True, True, True
     cases = [(MASKS, SCORES, 0.7), (MASKS, SCORES[::-1].copy(), 0.7), (chain, np.array([0.9, 0.8, 0.7]), 0.5)]
+    cases.append((half, np.array([0.7, 0.9, 0.8]), 0.5))
     return check("non-maximum suppression", attempt, suppress, cases, mistakes)
 
 
@@ -183,15 +193,19 @@ def check_mask_outlines(attempt: Function) -> bool:
 
 
 def check_jumps(attempt: Function) -> bool:
-    """Check ``attempt(labels, depth_gt, jump) -> (H, W) bool``: outlines at which true depth jumps; 0 is unknown."""
+    """Check ``attempt(labels, depth_gt, jump) -> (H, W) bool``: outlines at which true depth jumps; 0 is unknown.
 
-    def wrong(labels, depth, jump, known=True, own=True, signed=False, other=True):
+    A jump is a difference of more than ``jump`` metres.
+    """
+
+    def wrong(labels, depth, jump, known=True, own=True, signed=False, other=True, equal=False):
         padded_l, padded_d, (h, w) = np.pad(labels, 1, mode="edge"), np.pad(depth, 1, mode="edge"), labels.shape
         found = np.zeros(labels.shape, bool)
         for y, x in ((0, 1), (2, 1), (1, 0), (1, 2)):
             label, near = padded_l[y : y + h, x : x + w], padded_d[y : y + h, x : x + w]
             step = (near - depth) if signed else np.abs(near - depth)
-            found |= ((label != labels) | (not other)) & (step > jump) & ((near > 0) & (depth > 0) | (not known))
+            jumps = (step > jump) | (equal & (step == jump))
+            found |= ((label != labels) | (not other)) & jumps & ((near > 0) & (depth > 0) | (not known))
         return found & (labels > 0) if own else found
 
     mistakes = {
@@ -202,6 +216,9 @@ def check_jumps(attempt: Function) -> bool:
         ),
         "those are all outlines, whether depth jumps or not": lambda a, d, j: boundaries_from_labels(a),
         "the jump is in metres, not in millimetres": lambda a, d, j: wrong(a, 1000 * d, j),
+        "a difference equal to the jump does not exceed it": lambda a, d, j: wrong(a, d, j, equal=True),
         "only the nearer side is marked; a jump has two": lambda a, d, j: wrong(a, d, j, signed=True),
     }
-    return check("depth jumps", attempt, depth_boundaries, [(LABELS, DEPTH, 0.01), (LABELS, DEPTH, 0.04)], mistakes)
+    quarter = np.where(LABELS > 0, 1.0 - 0.25 * LABELS, 1.0)  # numbers that a computer holds exactly
+    cases = [(LABELS, DEPTH, 0.01), (LABELS, DEPTH, 0.04), (LABELS, quarter, 0.25)]
+    return check("depth jumps", attempt, depth_boundaries, cases, mistakes)

@@ -14,7 +14,10 @@ RAW[0, :2], RAW[3, 5] = 0, 65535
 
 
 def check_to_metres(attempt: Function) -> bool:
-    """Check ``attempt(raw, scale) -> (H, W) float32 metres``: uint16 units to metres, 0 and 65535 being no reading."""
+    """Check ``attempt(raw, scale) -> (H, W) float32 metres``: uint16 units to metres, 0 and 65535 being no reading.
+
+    ``raw`` is (H, W) uint16 and must not change; ``scale`` is a Python float, metres per unit.
+    """
 
     def right(raw, scale):
         return np.where((raw == 0) | (raw == 65535), 0, raw * scale).astype(np.float32)
@@ -38,7 +41,7 @@ def check_to_metres(attempt: Function) -> bool:
         ).astype(np.float32),
     }
     cases = [(RAW, 0.001), (RAW, 0.00025), (RAW, 0.0001)]
-    return check("to metres", attempt, right, cases, mistakes)
+    return check("to metres", attempt, right, cases, mistakes, dtype=True)
 
 
 def check_resized_camera(attempt: Function) -> bool:
@@ -112,6 +115,9 @@ def check_align(attempt: Function) -> bool:
             z + t[2],
         ),
         "the shift is in millimetres; metres are wanted": lambda u, v, z, a, b, t: right(u, v, z, a, b, 1000 * t),
+        "u is the column and goes with x, v the row and goes with y: they are swapped": lambda u, v, z, a, b, t: right(
+            v, u, z, a, b, t
+        ),
         "only the picture's middle was moved: a pixel's shift depends on its depth": lambda u, v, z, a, b, t: (
             u - a.cx + b.cx,
             v - a.cy + b.cy,
@@ -126,7 +132,10 @@ def check_align(attempt: Function) -> bool:
 
 
 def check_stereo_noise(attempt: Function) -> bool:
-    """Check ``attempt(z, fx, baseline_m, disparity_px) -> metres``: what an error in disparity does to z."""
+    """Check ``attempt(z, fx, baseline_m, disparity_px) -> metres``: what an error in disparity does to z.
+
+    All are numbers. The size of the error is meant, without a sign, to first order: the derivative times the error.
+    """
 
     def right(z, fx, baseline, error):
         return z**2 * error / (fx * baseline)
@@ -139,7 +148,10 @@ def check_stereo_noise(attempt: Function) -> bool:
         "a longer baseline gives less noise: divide by it": lambda z, f, b, e: z**2 * e * b / f,
         "the result is in millimetres; metres are wanted": lambda z, f, b, e: 1000 * right(z, f, b, e),
         "that is the variance": lambda z, f, b, e: right(z, f, b, e) ** 2,
-        "that is the relative error: multiply by z": lambda z, f, b, e: z * e / (f * b),
+        "the size is wanted: leave the minus sign of the derivative out": lambda z, f, b, e: -right(z, f, b, e),
+        "that is the exact difference; to first order it is the derivative times the error": lambda z, f, b, e: (
+            f * b / (f * b / z - e) - z
+        ),
     }
     cases = [(0.6, 450.0, 0.05, 0.1), (3.0, 450.0, 0.05, 0.1), (1.5, 670.0, 0.055, 0.2)]
     return check("stereo noise", attempt, right, cases, mistakes)
@@ -163,15 +175,17 @@ def check_through_glass(attempt: Function) -> bool:
         "in glass light takes n times as long, not 1 / n": lambda d, g, n: d + (1 / n - 1) * g,
         "only the way inside the glass is slower": lambda d, g, n: n * d,
         "the glass delays the light; that is the bare distance": lambda d, g, n: d,
+        "that is the delay alone: add it to the distance": lambda d, g, n: (n - 1) * g,
     }
     cases = [(0.7, 0.012, 1.5), (1.2, 0.004, 1.33)]
     return check("through glass", attempt, right, cases, mistakes)
 
 
 def check_fill_share(attempt: Function) -> bool:
-    """Check ``attempt(raw, completed, region) -> (kept, inside, holes)``, shares of all pixels that sum to 1.
+    """Check ``attempt(raw, completed, region) -> (kept, inside, holes)``, three shares of all pixels, in this order.
 
-    ``kept``: readings returned as they were, outside the region; ``inside``: re-estimated; ``holes``: filled outside.
+    ``kept``: readings outside the region that were returned as they were; ``inside``: pixels of the region, whatever
+    their value; ``holes``: pixels outside it without a reading. Readings outside that changed count in none of them.
     """
 
     def right(raw, completed, region):
@@ -183,7 +197,19 @@ def check_fill_share(attempt: Function) -> bool:
     raw = clean_depth(RNG.uniform(0.4, 0.9, region.shape))
     raw[RNG.random(raw.shape) < 0.3] = 0
     completed = np.where(region | (raw == 0), np.float32(0.55), raw)
+    completed[3, 3:6] = raw[3, 3:6] = np.float32(0.62)  # estimated anew, with the same result
+    adjusted = completed.copy()
+    adjusted[6, :4] += np.float32(0.01) * (raw[6, :4] > 0)  # readings outside that were allowed to change
     mistakes = {
+        "a pixel inside the region is not kept, even where its value did not change": lambda r, c, m: (
+            ((r > 0) & (c == r)).mean(),
+            *right(r, c, m)[1:],
+        ),
+        "readings outside that have changed are not kept: compare with `completed`": lambda r, c, m: (
+            (~m & (r > 0)).mean(),
+            *right(r, c, m)[1:],
+        ),
+        "the order is kept, inside, holes": lambda r, c, m: right(r, c, m)[::-1],
         "missing pixels count as kept": lambda r, c, m: ((~m).mean(), m.mean(), (~m & (r == 0)).mean()),
         "holes inside the region belong to the region": lambda r, c, m: (right(r, c, m)[0], m.mean(), (r == 0).mean()),
         "those are per cent; shares are wanted": lambda r, c, m: tuple(100 * x for x in right(r, c, m)),
@@ -197,4 +223,5 @@ def check_fill_share(attempt: Function) -> bool:
         ),
         "the region is inverted": lambda r, c, m: right(r, c, ~m),
     }
-    return check("what happened to the pixels", attempt, right, [(raw, completed, region)], mistakes)
+    cases = [(raw, completed, region), (raw, adjusted, region)]
+    return check("what happened to the pixels", attempt, right, cases, mistakes)

@@ -68,7 +68,10 @@ def check_eps_from_x0(attempt: Function) -> bool:
 
 
 def check_posterior(attempt: Function) -> bool:
-    """Check ``attempt(x0, x_t, alpha_bar, alpha_bar_prev) -> (mean, variance)`` of q(x_{t-1} given x_t, x0)."""
+    """Check ``attempt(x0, x_t, alpha_bar, alpha_bar_prev) -> (mean, variance)`` of q(x_{t-1} given x_t, x0).
+
+    Four numbers in, two out, the mean first.
+    """
 
     def right(x0, x_t, a, prev):
         x0, x_t, t = _tensors(1, x0, x_t)
@@ -87,6 +90,7 @@ def check_posterior(attempt: Function) -> bool:
         return attempt
 
     mistakes = {
+        "the order is turned: the mean comes first, then the variance": lambda x, y, a, p: right(x, y, a, p)[::-1],
         "the variance is a standard deviation: no square root": wrong(lambda a, p, u, w, v: (u, w, v**0.5)),
         "the variance is beta itself: it lacks (1 - abar_prev) / (1 - abar)": wrong(
             lambda a, p, u, w, v: (u, w, 1 - a / p)
@@ -153,13 +157,20 @@ def check_ddim_step(attempt: Function) -> bool:
 
 
 def check_timesteps(attempt: Function) -> bool:
-    """Check ``attempt(timesteps, steps) -> list of t``, noisiest first, evenly spaced, starting at timesteps - 1."""
+    """Check ``attempt(timesteps, steps) -> list of t``, noisiest first, evenly spaced, starting at timesteps - 1.
+
+    Whole numbers. Where ``timesteps`` is no multiple of ``steps``, a place between two steps is rounded to the nearest;
+    a half is not asked for.
+    """
 
     def right(total, steps):
         return diffusion.timesteps_for(NoiseSchedule(torch.full((total,), 0.01, dtype=torch.float64)), steps)
 
     mistakes = {
         "off by one: t counts from 0, so the noisiest step is timesteps - 1": lambda n, k: [t + 1 for t in right(n, k)],
+        "cut off instead of rounded: int() goes down, round() to the nearest": lambda n, k: [
+            int(n * i / k) - 1 for i in range(k, 0, -1)
+        ],
         "least noisy first; the sampler starts at the noisiest": lambda n, k: right(n, k)[::-1],
         "'leading' spacing: it starts below timesteps - 1, though the start is pure noise": lambda n, k: [
             round(n * i / k) for i in range(k - 1, -1, -1)
@@ -168,7 +179,7 @@ def check_timesteps(attempt: Function) -> bool:
             np.linspace(n - 1, 0, k).round().astype(int)
         ),
     }
-    return check("timesteps", attempt, right, [(1000, 4), (1000, 10), (100, 50)], mistakes, rtol=1e-9)
+    return check("timesteps", attempt, right, [(1000, 4), (1000, 10), (100, 50), (1000, 7)], mistakes, rtol=1e-9)
 
 
 def check_ddim_variance(attempt: Function) -> bool:

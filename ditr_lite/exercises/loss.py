@@ -11,8 +11,9 @@ from .checker import Function, check
 def check_match(attempt: Function) -> bool:
     """Check ``attempt(left, right, row, column, half, largest) -> int``, the disparity of one pixel by block matching.
 
-    The window of ``2 * half + 1`` pixels a side around (row, column) of ``left`` is compared with the windows of
-    ``right`` that lie 0 to ``largest`` columns further left; the smallest sum of absolute differences wins.
+    The window of ``2 * half + 1`` pixels a side around (row, column) of ``left``, (H, W) uint8, is compared with the
+    windows of ``right`` that lie 0 to ``largest`` columns further left, both included; the smallest sum of absolute
+    differences wins, of equal ones the smallest disparity.
     """
 
     def costs(left, right, row, column, half, largest, step=-1):
@@ -36,18 +37,24 @@ def check_match(attempt: Function) -> bool:
     def signed(left, right, *case):
         return int(np.argmin([d.sum() for d in differences(left.astype(float), right.astype(float), *case)]))
 
-    def one_pixel(left, right, row, column, half, largest):
-        return right_answer(left, right, row, column, 0, largest)
+    def with_window(change):
+        return lambda *c: right_answer(*c[:4], change(c[4]), c[5])
 
-    rng = np.random.default_rng(3)
-    cases = []
-    for d in (5, 9, 7):
-        left = rng.integers(0, 256, (24, 60)).astype(np.uint8)
-        image = rng.integers(0, 256, left.shape).astype(np.uint8)
-        image[:, :-d] = left[:, d:]  # what lies in column u on the left lies in column u - d on the right
-        noise = rng.integers(-60, 61, left.shape)
-        cases.append((left, np.clip(image + noise, 0, 255).astype(np.uint8), 12, 34, 3, 16))
+    def even(left, right, row, column, half, largest):
+        rows, width = slice(row - half, row + half), slice(column - half, column + half)
+        window = left[rows, width].astype(float)
+        other = [right[rows, width.start - d : width.stop - d] for d in range(largest + 1)]
+        return int(np.argmin([np.abs(window - o).sum() for o in other]))
+
+    cases = _matching_cases()
     mistakes = {
+        "`largest` is a disparity, too: range(largest) stops one before it, write range(largest + 1)": lambda *c: int(
+            costs(*c[:5], c[5] - 1).argmin()
+        ),
+        "the window is too large: it reaches `half` pixels to each side, 2 * half + 1 is its whole side": with_window(
+            lambda h: 2 * h
+        ),
+        "the window misses its last row and column: a slice ends before its second number, + half + 1": even,
         "uint8 differences wrap around (2 - 3 = 255): convert to float or int first": wrapped,
         "the match lies further left in the right image: column - d, not column + d": lambda *c: int(
             costs(*c, step=1).argmin()
@@ -55,11 +62,37 @@ def check_match(attempt: Function) -> bool:
         "that is the worst match: the smallest cost wins": lambda *c: int(costs(*c).argmax()),
         "that is the smallest cost itself; the disparity is where it occurs": lambda *c: costs(*c).min(),
         "that is the column of the match; the disparity is the shift": lambda *c: c[3] - right_answer(*c),
-        "one pixel is not enough: compare the whole window": one_pixel,
+        "one pixel is not enough: compare the whole window": with_window(lambda h: 0),
         "disparities start at 0: the result is one too large": lambda *c: right_answer(*c) + 1,
         "the differences cancel: take absolute values before the sum": signed,
     }
     return check("block matching", attempt, right_answer, cases, mistakes)
+
+
+def _matching_cases() -> list[tuple]:
+    """Return arguments of the block matching: noisy shifts, the largest among them, and two that the window decides."""
+    rng = np.random.default_rng(3)
+    cases = []
+    for d in (5, 9, 16):
+        left = rng.integers(0, 256, (24, 60)).astype(np.uint8)
+        cases.append((left, _shifted(left, d, 60, rng), 12, 34, 3, 16))
+    # only the window itself lies 4 columns further left, all around it 13
+    left = rng.integers(0, 256, (24, 70)).astype(np.uint8)
+    right = _shifted(left, 13, 60, rng)
+    right[9:16, 34 - 4 - 3 : 34 - 4 + 4] = left[9:16, 31:38]
+    cases.append((left, right, 12, 34, 3, 16))
+    # all but the window's last row and column is found at 2 as well
+    right = _shifted(left, 6, 0, rng)
+    right[11:13, 34 - 2 - 1 : 34 - 2 + 1] = left[11:13, 33:35]
+    cases.append((left, right, 12, 34, 1, 9))
+    return cases
+
+
+def _shifted(left: np.ndarray, d: int, noise: int, rng: np.random.Generator) -> np.ndarray:
+    """Return a right picture in which what lies in column u of ``left`` lies in column u - d, with noise."""
+    image = rng.integers(0, 256, left.shape)
+    image[:, :-d] = left[:, d:]
+    return np.clip(image + rng.integers(-noise, noise + 1, left.shape), 0, 255).astype(np.uint8)
 
 
 def check_refract(attempt: Function) -> bool:

@@ -17,7 +17,7 @@ def _maps(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_rel(attempt: Function) -> bool:
-    """Check ``attempt(pred, gt) -> float``, Eq. 6 over the pixels with ground truth (gt > 0)."""
+    """Check ``attempt(pred, gt) -> float``, Eq. 6 over the pixels with ground truth (gt > 0); both are (H, W)."""
 
     def of(formula, known=True):
         return lambda p, g: formula(p[g > 0], g[g > 0]) if known else formula(p, g)
@@ -30,6 +30,7 @@ def check_rel(attempt: Function) -> bool:
         "that is mean error over mean depth; average the ratios instead": of(lambda p, g: abs(p - g).sum() / g.sum()),
         "the absolute value is missing: too near and too far cancel": of(lambda p, g: np.mean((p - g) / g)),
         "that is the median over pixels (as TranspareNet's code takes it)": of(lambda p, g: np.median(abs(p - g) / g)),
+        "the ratios are squared; REL takes their absolute value": of(lambda p, g: np.sqrt(np.mean(((p - g) / g) ** 2))),
         "that is per cent; a plain ratio is wanted": lambda p, g: 100 * metrics.rel(p, g),
         "the sum over known pixels is divided by all H W pixels": lambda p, g: metrics.rel(p, g) * (g > 0).mean(),
         "missing ground truth (0) is divided by: choose the pixels with gt > 0 first": of(
@@ -58,6 +59,9 @@ def check_delta(attempt: Function) -> bool:
         "only pixels that are too near count as bad: take the larger of p / g and g / p": of(lambda p, g, t: g / p < t),
         "the smaller of the two ratios is taken: it is never above 1": of(lambda p, g, t: np.minimum(p / g, g / p) < t),
         "the comparison is strict: a pixel on the threshold is out": of(lambda p, g, t: np.maximum(p / g, g / p) <= t),
+        "the threshold is a factor such as 1.05: compare the ratio with it as it is": of(
+            lambda p, g, t: np.maximum(p / g, g / p) < t - 1
+        ),
         "that is a share of 0 to 1; per cent is wanted": lambda p, g, t: metrics.delta(p, g, t) / 100,
         "that is the share of bad pixels; the good ones are wanted": lambda p, g, t: 100 - metrics.delta(p, g, t),
         "missing ground truth (0) counts as a bad pixel": lambda p, g, t: metrics.delta(p, g, t) * (g > 0).mean(),
@@ -88,6 +92,9 @@ def check_crps(attempt: Function) -> bool:
         "every pair is counted twice, or divided by the number of pairs": with_spread(lambda s: 2 / (s * (s - 1))),
         "the spread is added; it must be taken away": with_spread(lambda s: -1 / (s * (s - 1))),
         "that is the error of the mean; average the members' errors": lambda x, y: np.mean(np.abs(x.mean(axis=0) - y)),
+        "the members' errors are summed: average them over S": lambda x, y: (
+            metrics.crps(x, y) + (len(x) - 1) * np.mean(np.abs(x - y))
+        ),
         "the sum over pixels is missing its division by N": lambda x, y: y.size * metrics.crps(x, y),
         "that is half of it per pair: each unordered pair weighs 1 / (S (S - 1))": with_spread(
             lambda s: 0.5 / (s * (s - 1))
@@ -116,6 +123,7 @@ def check_interval(attempt: Function) -> bool:
             a[k].mean(axis=1) - b[k[::-1]].mean(axis=1)
         ),
         "that is b - a; a - b is wanted": lambda a, b, k: -right(a, b, k)[::-1],
+        "that is the interval of a alone; that of a - b is wanted": lambda a, b, k: percentiles(a[k].mean(axis=1)),
         "high stands before low": lambda a, b, k: right(a, b, k)[::-1],
         "that interval holds 90 %: take the 2.5th and the 97.5th percentile": lambda a, b, k: percentiles(
             (a - b)[k].mean(axis=1), (5, 95)
@@ -134,26 +142,31 @@ def check_interval(attempt: Function) -> bool:
 def check_impossible(attempt: Function) -> bool:
     """Check ``attempt(rmse, mae, half) -> (N,) bool``: entries that cannot be, however their last place was rounded.
 
-    Each printed number may be off by ``half`` at most, in either direction.
+    ``rmse`` and ``mae`` are arrays (N,), ``half`` a number: each printed number may be off by it at most, in either
+    direction. RMSE equal to MAE is possible.
     """
     rmse = np.array([0.057, 0.040, 0.0305, 0.024, 0.024, 0.019, 0.031, 0.050])
     mae = np.array([0.059, 0.031, 0.0305, 0.0244, 0.0252, 0.012, 0.0335, 0.0507])
+
+    equal = np.array([0.25, 0.5]), np.array([0.5, 0.875])  # binary fractions: rounding leaves the first exactly equal
 
     def right(rmse, mae, half):
         return rmse + half < mae - half
 
     mistakes = {
+        "equal is possible: where all errors are alike, RMSE is MAE": lambda r, m, h: r + h <= m - h,
         "rounding is not allowed for: .024 may stand for .0244": lambda r, m, h: r < m,
         "only one of the two numbers may be off: both were rounded": lambda r, m, h: r + h < m,
         "the inequality is the wrong way round: RMSE below MAE cannot be": lambda r, m, h: m + h < r - h,
         "that marks the entries that can be": lambda r, m, h: ~right(r, m, h),
         "rounding is held against the table: it must be in its favour": lambda r, m, h: r - h < m + h,
     }
-    return check("impossible entries", attempt, right, [(rmse, mae, 0.0005), (rmse, mae, 0.001)], mistakes, rtol=0)
+    cases = [(rmse, mae, 0.0005), (rmse, mae, 0.001), (*equal, 0.125)]
+    return check("impossible entries", attempt, right, cases, mistakes, rtol=0)
 
 
 def check_weight(attempt: Function) -> bool:
-    """Check ``attempt(whole, inside, outside, power) -> w`` with whole^p = w inside^p + (1 - w) outside^p."""
+    """Check ``attempt(whole, inside, outside, power) -> w`` with whole^p = w inside^p + (1 - w) outside^p, numbers."""
 
     def right(whole, inside, outside, power):
         return implied_weight(whole, inside, outside, power)[1]

@@ -10,7 +10,7 @@ def check_square(attempt: Function) -> bool:
 
     ``box`` is (top, left, bottom, right) with exclusive ends, ``shape`` (H, W). The side is twice the longer side of
     the box, at least a fifth of the frame's longer side and at most that side; the square has the box in its middle
-    and is moved into the frame. In all cases it fits there, and the numbers are whole.
+    and is moved into the frame. In all cases it fits there, and no rounding is needed: all three numbers are whole.
     """
 
     def side_of(box, shape, margin=2, least=0.2):
@@ -26,7 +26,11 @@ def check_square(attempt: Function) -> bool:
         return np.array([top, left, side])
 
     def with_side(find):
-        return lambda box, shape: right(box, shape, find(box, shape))
+        return lambda box, shape: right(box, shape, min(find(box, shape), max(shape)))
+
+    def unbounded(box, shape):
+        side = round(max(2 * max(box[2] - box[0], box[3] - box[1]), 0.2 * max(shape)))
+        return np.array([*np.maximum(np.minimum(corner(box, side), np.array(shape) - side), 0), side])
 
     def about(middle):
         def attempt(box, shape):
@@ -39,6 +43,7 @@ def check_square(attempt: Function) -> bool:
         ((40, 60, 60, 130), (200, 300)),  # wide
         ((10, 100, 90, 130), (200, 300)),  # tall, near the upper border
         ((180, 280, 190, 292), (200, 300)),  # small, in a corner: the least side counts
+        ((40, 20, 120, 260), (300, 300)),  # wider than half the frame: the largest side counts
     ]
     mistakes = {
         "it must lie in the frame: move it, without changing its side": lambda b, s: np.array(
@@ -57,6 +62,7 @@ def check_square(attempt: Function) -> bool:
             lambda b, s: side_of(b, s, margin=1)
         ),
         "the side is at least a fifth of the frame's longer side": with_side(lambda b, s: side_of(b, s, least=0)),
+        "the side is at most the frame's longer side": unbounded,
         "a fifth of the frame's *longer* side, not of the shorter": with_side(
             lambda b, s: max(2 * max(b[2] - b[0], b[3] - b[1]), round(0.2 * min(s)))
         ),
@@ -146,6 +152,14 @@ def check_spread(attempt: Function) -> bool:
             composed(d, o, g, r)[0],
             right(d, o, g, r)[1],
         ),
+        "that is the median over the samples; the mean is wanted": lambda d, o, g, r: (
+            np.median(composed(d, o, g, r), axis=0),
+            right(d, o, g, r)[1],
+        ),
+        "that is the uncertainty of the mean: do not divide the spread by the root of S": lambda d, o, g, r: (
+            right(d, o, g, r)[0],
+            right(d, o, g, r)[1] / np.sqrt(len(o)),
+        ),
         "the average runs over the image, not over the samples: axis 0": lambda d, o, g, r: (
             composed(d, o, g, r).mean(),
             composed(d, o, g, r).std(ddof=1),
@@ -161,8 +175,8 @@ def check_spread(attempt: Function) -> bool:
 def check_conv_flops(attempt: Function) -> bool:
     """Check ``attempt(channels_in, channels_out, kernel, height, width, stride)``: operations of a convolution.
 
-    A multiply-add is two operations; height and width are those of the input, padded so that stride 1 keeps them and
-    stride s divides them by s; the bias is not counted.
+    All are whole numbers. A multiply-add is two operations; height and width are those of the input, padded so that
+    stride 1 keeps them and stride s, by which both can be divided, divides them by s; the bias is not counted.
     """
 
     def right(cin, cout, k, h, w, s):
@@ -187,6 +201,9 @@ def check_conv_flops(attempt: Function) -> bool:
         ),
         "one operation more for the bias: it is not counted here": lambda cin, cout, k, h, w, s: (
             right(cin, cout, k, h, w, s) + cout * (h // s) * (w // s)
+        ),
+        "the input is padded: stride 1 keeps height and width": lambda cin, cout, k, h, w, s: (
+            2 * cin * cout * k * k * ((h - k) // s + 1) * ((w - k) // s + 1)
         ),
         "that is in GFLOPs; give operations": lambda *a: right(*a) / 1e9,
     }

@@ -416,7 +416,7 @@ _ROWS = [
 ENTRIES = tuple(Entry(number, *row) for number, row in enumerate(_ROWS, start=1))
 
 
-def table(entries: tuple[Entry, ...] = ENTRIES) -> str:
+def format_ledger(entries: tuple[Entry, ...] = ENTRIES) -> str:
     """Compute every entry and return the ledger as a Markdown table."""
     head = ("#", "where", "the paper says", "we measured", "holds?", "we do", "notebook")
     lines = [head, ("---",) * len(head)]

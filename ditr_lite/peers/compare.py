@@ -108,7 +108,7 @@ def _composed(method: Method) -> Method:
     return composed
 
 
-def run(frames, ditr: Ditr, rows: Mapping[str, Method]) -> dict[str, dict[str, dict[str, float | None]]]:
+def score_methods(frames, ditr: Ditr, rows: Mapping[str, Method]) -> dict[str, dict[str, dict[str, float | None]]]:
     """Return frame -> method -> pixel set -> RMSE in metres; stage one runs once a frame and serves all."""
     scores = {}
     for sample in frames:
@@ -120,8 +120,8 @@ def run(frames, ditr: Ditr, rows: Mapping[str, Method]) -> dict[str, dict[str, d
     return scores
 
 
-def summarise(scores: Mapping[str, Mapping[str, Mapping[str, float | None]]]) -> dict[str, Any]:
-    """Return means, ratios and differences with 95 % intervals over frames, from :func:`run`'s result.
+def summarise_peers(scores: Mapping[str, Mapping[str, Mapping[str, float | None]]]) -> dict[str, Any]:
+    """Return means, ratios and differences with 95 % intervals over frames, from :func:`score_methods`'s result.
 
     Returns:
         ``mean``: method -> set -> [mean, low, high] in metres; ``ratio``: method -> set -> mean of DITR at equal time
@@ -166,7 +166,7 @@ def by_seed(report: Mapping[str, Any], step: str, key: str) -> np.ndarray:
     return np.array([row for row in rows if None not in row]).T
 
 
-def verdict(report: Mapping[str, Any]) -> str:
+def ratio_verdict(report: Mapping[str, Any]) -> str:
     """Say where the paper's ratio to DFNet lies beside ours, of DITR at equal time to regression and to the best peer.
 
     Like is set beside like: *whole* beside the paper's overall, *optical* beside its optical ratio (:data:`PAPER`).

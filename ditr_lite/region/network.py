@@ -127,7 +127,8 @@ class RegionNet(nn.Module):
         self.encoder_depth = Encoder(2, config.width, config.levels)
         self.fusion = nn.ModuleList(CrossModalFusion(c) for c in widths)
         self.context = _conv(widths[-1], widths[-1], dilation=2)
-        finer = list(reversed(list(zip(widths[:-1], widths[1:], strict=True))))  # (fine, coarse) channels, coarse first
+        pairs = zip(widths[:-1], widths[1:], strict=True)  # (fine, coarse) channels of neighbouring levels
+        finer = list(pairs)[::-1]  # coarse levels first
         self.lateral = nn.ModuleList(nn.Conv2d(coarse, fine, 1) for fine, coarse in finer)
         self.decode = nn.ModuleList(_conv(fine, fine) for fine, _ in finer)
         self.side = nn.ModuleList(nn.Conv2d(c, config.classes, 1) for c in reversed(widths[1:]))
@@ -172,67 +173,6 @@ class RegionNet(nn.Module):
 def region_probability(outputs: dict[str, Any]) -> Tensor:
     """Return (B, 1, H, W): the probability that a pixel is transparent or reflective, the two classes merged."""
     return outputs["logits"].softmax(dim=1)[:, 1:].sum(dim=1, keepdim=True)
-
-
-def class_boundary(classes: Tensor) -> Tensor:
-    """Return (B, H, W) bool: pixels whose 3x3 neighbourhood holds more than one class (two pixels wide)."""
-    x = classes[:, None].float()
-    return (F.max_pool2d(x, 3, 1, padding=1) != -F.max_pool2d(-x, 3, 1, padding=1))[:, 0]
-
-
-def region_loss(
-    outputs: dict[str, Any],
-    target_classes: Tensor,
-    weight: Tensor | None = None,
-    side_weight: float = 0.4,
-    boundary_weight: float = 0.5,
-    boundary_positive: float = 5.0,
-) -> dict[str, Tensor]:
-    """Score the main output, every side output and the boundary.
-
-    Each class output costs weighted cross-entropy plus soft Dice: the region covers few pixels, and Dice does not care
-    how many. Side outputs are scored at half the target's size: thin stems still count, at a quarter of the cost.
-
-    Args:
-        outputs: what :class:`RegionNet` returned.
-        target_classes: (B, H, W) int64; 255 = unknown, not scored.
-        weight: (classes,) float, class weights of the cross-entropy; None for equal ones.
-        side_weight: weight of the mean of the side outputs' losses.
-        boundary_weight: weight of the boundary's binary cross-entropy.
-        boundary_positive: weight of a boundary pixel against any other.
-
-    Returns:
-        Scalars ``ce`` and ``dice`` of the main output, ``side``, ``boundary`` and ``total``.
-
-    Raises:
-        ValueError: when ``target_classes`` is not (B, H, W) int64 of the logits' size.
-    """
-    logits = outputs["logits"]
-    shape = (logits.shape[0], *logits.shape[2:])
-    if target_classes.dtype != torch.int64 or target_classes.shape != shape:
-        got = f"{tuple(target_classes.shape)} {target_classes.dtype}"
-        raise ValueError(f"expected target_classes {shape} int64, got {got}")
-    known = target_classes != IGNORE
-    ce, dice = _class_loss(logits, target_classes, known, weight)
-    half = target_classes[:, ::2, ::2]
-    sides = [sum(_class_loss(_resize(s, half), half, half != IGNORE, weight)) for s in outputs["side"]]
-    side = torch.stack(sides).mean() if sides else logits.new_zeros(())
-    edge, true_edge = outputs["boundary"][:, 0], class_boundary(target_classes).to(logits.dtype)
-    positive = edge.new_tensor(boundary_positive)
-    bce = F.binary_cross_entropy_with_logits(edge, true_edge, pos_weight=positive, reduction="none")
-    boundary = (bce * known).sum() / known.sum().clamp_min(1)
-    total = ce + dice + side_weight * side + boundary_weight * boundary
-    return {"ce": ce, "dice": dice, "side": side, "boundary": boundary, "total": total}
-
-
-def _class_loss(logits: Tensor, target: Tensor, known: Tensor, weight: Tensor | None) -> tuple[Tensor, Tensor]:
-    safe = torch.where(known, target, 0)
-    pixel_weight = known.to(logits.dtype) if weight is None else weight[safe] * known
-    ce = (F.cross_entropy(logits, safe, reduction="none") * pixel_weight).sum() / pixel_weight.sum().clamp_min(1e-6)
-    p = logits.softmax(dim=1)[:, 1:] * known[:, None]  # foreground classes, (B, classes - 1, H, W)
-    t = F.one_hot(safe, logits.shape[1]).movedim(-1, 1)[:, 1:] * known[:, None]
-    both, either = (p * t).sum(dim=(0, 2, 3)), (p + t).sum(dim=(0, 2, 3))
-    return ce, (1 - (2 * both + 1) / (either + 1)).mean()  # + 1: an absent class that is not predicted costs nothing
 
 
 def refine_region(mask: np.ndarray, median: int = 7, dilate: int = 5, iterations: int = 3) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 from ..camera import Camera, Stereo
 from . import stereo as sensor
 from . import tof
-from .render import PROJECTOR_DEG, load, render, truth
+from .render import PROJECTOR_DEG, build_scene, render, truth
 from .scenes import Scene
 from .stereo import Matcher
 
@@ -112,7 +112,7 @@ PRESETS = {
 }
 
 
-def preset(name: str) -> Preset:
+def camera_preset(name: str) -> Preset:
     """Return a camera by its name.
 
     Raises:
@@ -167,7 +167,7 @@ def measure(
     """
     left_pose = scene.camera_pose @ stereo.motion()
     if kind.principle == "tof":
-        depth, dropped, own = tof.measure(scene, stereo.camera, left_pose, kind.clock, paths, seed)
+        depth, dropped, own = tof.measure_flight(scene, stereo.camera, left_pose, kind.clock, paths, seed)
         seen = [sensor.visible_from(points, own, stereo.camera, left_pose)] * 2
         depth, dropped = sensor.carry_over(_in_range(depth, kind), dropped, stereo, camera)
         return depth, dropped, seen, [None, None]
@@ -179,7 +179,7 @@ def measure(
     structured = kind.principle == "structured"
     middle = np.eye(4)
     middle[0, 3] = stereo.baseline_m / 2
-    lit = load(scene, right_pose if structured else left_pose @ middle, rng, slide=pattern)
+    lit = build_scene(scene, right_pose if structured else left_pose @ middle, rng, slide=pattern)
     pair, seen = [], []
     for pose in (left_pose, right_pose):
         own = truth(lit, stereo.camera, pose, seed)[1]

@@ -98,7 +98,7 @@ def turned(points: np.ndarray) -> dict[str, Any]:
     return {"points": points, "square": 2.0, "ribs": (0, 0.0), "wall": 0.0, "segments": SEGMENTS[1]}
 
 
-def label(form: dict[str, Any], low: float, high: float) -> dict[str, Any]:
+def sleeve(form: dict[str, Any], low: float, high: float) -> dict[str, Any]:
     """Return a sleeve that hugs the body between two shares of its height."""
     heights = np.linspace(low, high, 12) - 0.5
     return {**form, "points": np.c_[radius_at(form, heights) * 1.012 + 0.002, heights], "wall": 0.0}
@@ -145,9 +145,8 @@ def smooth_normals(vertices: np.ndarray, faces: np.ndarray, segments: int) -> np
 def mesh(form: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return vertices (N, 3), faces (M, 3) and texture coordinates (N, 2) of a form, normals pointing out."""
     points = form["points"]
-    if wall := form["wall"]:
-        inner = np.c_[np.maximum(points[:, 0] - wall, 0), np.minimum(points[:, 1] + wall, points[-1, 1])]
-        points = np.concatenate([points, inner[::-1]])
+    if form["wall"]:
+        points = walled(points, form["wall"])
     points = _creased(points)
     count = form["segments"]
     angle = np.linspace(0, 2 * np.pi, count + 1)
@@ -156,10 +155,32 @@ def mesh(form: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     around = (
         around / around.max() * (1.1 if power > 2 else 1.0) * (1 + form["ribs"][1] * np.cos(form["ribs"][0] * angle))
     )
+    return lathe(points, around)
+
+
+def walled(points: np.ndarray, wall: float) -> np.ndarray:
+    """Return the outline (2 N, 2) of a vessel with an inside, its wall ``wall`` thick, of its outer one (N, 2)."""
+    inner = np.c_[np.maximum(points[:, 0] - wall, 0), np.minimum(points[:, 1] + wall, points[-1, 1])]
+    return np.concatenate([points, inner[::-1]])
+
+
+def lathe(points: np.ndarray, around: np.ndarray, repeats: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Turn an outline about the z axis.
+
+    Args:
+        points: (N, 2) radius and height.
+        around: (K + 1,) what the radius is multiplied by at equal angles of a full turn, the first and the last alike.
+        repeats: how many pairs of textures lie around it.
+
+    Returns:
+        vertices (N (K + 1), 3), faces (2 (N - 1) K, 3), texture coordinates (N (K + 1), 2).
+    """
+    count = len(around) - 1
+    angle = np.linspace(0, 2 * np.pi, count + 1)
     radius, height = points[:, :1] * around, points[:, 1:]
     vertices = np.stack([radius * np.cos(angle), radius * np.sin(angle), height + 0 * angle], axis=-1)
     along = np.linspace(0, 1, len(points))[:, None] + 0 * angle
-    uv = np.stack([angle / np.pi + 0 * along, along], axis=-1)
+    uv = np.stack([repeats * angle / np.pi + 0 * along, along], axis=-1)
     rows, columns = np.mgrid[: len(points) - 1, :count]
     a = rows * (count + 1) + columns
     b, c, d = a + 1, a + count + 2, a + count + 1

@@ -47,7 +47,7 @@ def frame_statistics(sample: Sample) -> dict[str, float]:
     }
 
 
-def compare(simulated: list[Sample], real: list[Sample]) -> str:
+def compare_with_real(simulated: list[Sample], real: list[Sample]) -> str:
     """Return a table: percentiles of the simulated frames, each real frame, and whether it lies between the outer two.
 
     Args:

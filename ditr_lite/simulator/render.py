@@ -6,7 +6,7 @@ import numpy as np
 
 from ..camera import Camera
 from . import forms
-from .scenes import PRISMS, VESSELS, Scene, Thing, cross_section, outline
+from .scenes import PRISMS, VESSELS, Scene, Thing, cross_section, profile
 from .stereo import dot_pattern
 from .textures import environment, surrounding, texture
 
@@ -34,7 +34,7 @@ def mitsuba() -> Any:
     return mi
 
 
-def load(
+def build_scene(
     scene: Scene,
     projector_pose: np.ndarray | None = None,
     rng: np.random.Generator | None = None,
@@ -256,31 +256,13 @@ def triangles(family: str, solid: bool) -> tuple[np.ndarray, np.ndarray, np.ndar
         solid: give a vessel a wall with an inside instead of a single sheet.
     """
     if family in VESSELS or family in ("sphere", "ellipsoid"):
-        points = outline(family)
+        points = profile(family)
         if solid and family in VESSELS:
-            wall = 0.035
-            inner = np.stack(
-                [np.maximum(points[:, 0] - wall, 0), np.minimum(points[:, 1] + wall, points[-1, 1])], axis=1
-            )
-            points = np.concatenate([points, inner[::-1]])
-        return _turned(points)
+            points = forms.walled(points, 0.035)
+        return forms.lathe(points, np.ones(_SEGMENTS + 1), repeats=2)
     if family in PRISMS:
         return _pulled(cross_section(family))
     return _pulled(np.array([(1, -1), (1, 1), (-1, 1), (-1, -1)], dtype=float))  # boxes, slabs, plates
-
-
-def _turned(points: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Turn an outline (N, 2) of (radius, height) about the z axis."""
-    angle = np.linspace(0, 2 * np.pi, _SEGMENTS + 1)
-    radius, height = points[:, :1], points[:, 1:]
-    vertices = np.stack([radius * np.cos(angle), radius * np.sin(angle), height + 0 * angle], axis=-1)
-    along = np.linspace(0, 1, len(points))[:, None] + 0 * angle
-    uv = np.stack([2 * angle / np.pi + 0 * along, along], axis=-1)
-    rows, columns = np.mgrid[: len(points) - 1, :_SEGMENTS]
-    a = rows * (_SEGMENTS + 1) + columns
-    b, c, d = a + 1, a + _SEGMENTS + 2, a + _SEGMENTS + 1
-    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
-    return vertices.reshape(-1, 3), faces, uv.reshape(-1, 2)
 
 
 def _pulled(section: np.ndarray) -> tuple[np.ndarray, ...]:

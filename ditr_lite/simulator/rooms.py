@@ -33,7 +33,7 @@ ROUND = {"sphere": forms.ball(), "ellipsoid": forms.ball(), "cylinder": forms.ro
 
 
 @dataclass
-class View:
+class Framing:
     """How a scene is seen: ``size`` is a thing's typical height as a share of ``distance`` (m)."""
 
     place: str
@@ -105,7 +105,7 @@ def room_scene(seed: int, split: str = "rooms_train") -> Scene:
     )
 
 
-def _view(rng, held_out: bool) -> View:
+def _view(rng, held_out: bool) -> Framing:
     place = str(rng.choice(list(PLACES), p=np.array(list(PLACES.values())) / sum(PLACES.values())))
     empty = rng.random() < EMPTY.get(place, EMPTY_ELSEWHERE)
     close = rng.random() < 0.38 and place != "landscape" and not empty
@@ -127,7 +127,7 @@ def _view(rng, held_out: bool) -> View:
     share = np.exp(rng.uniform(np.log(0.2), np.log(0.5)) if close else rng.uniform(np.log(0.06), np.log(0.25)))
     size = float(np.clip(share * distance, 0.012, 0.32)) / distance
     roll = rng.uniform(-np.pi, np.pi) if rng.random() < 0.15 else rng.normal(0, 0.06)
-    return View(place, distance, float(np.deg2rad(degrees)), float(roll), size, bool(close), held_out, bool(empty))
+    return Framing(place, distance, float(np.deg2rad(degrees)), float(roll), size, bool(close), held_out, bool(empty))
 
 
 # ----- what things stand on -------------------------------------------------------------------------------------
@@ -148,7 +148,7 @@ def _turn(angle: float) -> np.ndarray:
     return pose
 
 
-def _table(rng, view: View) -> Support:
+def _table(rng, view: Framing) -> Support:
     d = view.distance
     half = np.maximum(d * np.array([rng.uniform(0.3, 1.1), rng.uniform(0.25, 0.9)]), 0.5 * view.size * d + 0.02)
     centre = np.array([rng.uniform(-0.35, 0.35), rng.uniform(-0.1, 0.5)]) * half
@@ -167,12 +167,12 @@ def _table(rng, view: View) -> Support:
     return Support(0.92 * half, centre, floor, parts)
 
 
-def _floor(rng, view: View) -> Support:
+def _floor(rng, view: Framing) -> Support:
     wall = view.distance * rng.uniform(0.5, 2.5) if rng.random() < 0.5 else None
     return Support(np.full(2, 0.6 * view.distance), np.zeros(2), 0.0, back=wall)
 
 
-def _corner(rng, view: View) -> Support:
+def _corner(rng, view: Framing) -> Support:
     """A table or counter that reaches to a wall behind, and mostly to one at its side."""
     d = view.distance
     back = d * rng.uniform(0.12, 0.7)
@@ -198,7 +198,7 @@ def _corner(rng, view: View) -> Support:
     return Support(half, np.zeros(2), -rng.uniform(0.6, 0.95), parts, back)
 
 
-def _bin(rng, view: View) -> Support:
+def _bin(rng, view: Framing) -> Support:
     d = view.distance
     half = np.array([rng.uniform(0.25, 0.5), rng.uniform(0.2, 0.42)]) * d
     tall = np.clip(rng.uniform(0.4, 1.2) * view.size, 0.04, 0.22) * d
@@ -219,7 +219,7 @@ def _bin(rng, view: View) -> Support:
     return Support(0.85 * half, np.zeros(2), -rng.uniform(0.3, 0.9), parts)
 
 
-def _shelf(rng, view: View) -> Support:
+def _shelf(rng, view: Framing) -> Support:
     d = view.distance
     x, y = rng.uniform(0.35, 0.9) * d, rng.uniform(0.15, 0.35) * d
     gap = max(view.size * d * rng.uniform(1.5, 2.4), 0.3 * d)
@@ -239,7 +239,7 @@ def _shelf(rng, view: View) -> Support:
     return Support(np.array([0.85 * x, 0.75 * y]), np.zeros(2), -max(rng.uniform(0.4, 1.2), 2 * gap), parts)
 
 
-def _books(rng, view: View, x: float, y: float, base: float, room: float) -> list[dict[str, Any]]:
+def _books(rng, view: Framing, x: float, y: float, base: float, room: float) -> list[dict[str, Any]]:
     parts, at = [], -x + 0.01
     while at < x - 0.1 * room and len(parts) < 14:
         wide = room * rng.uniform(0.08, 0.5)
@@ -252,7 +252,7 @@ def _books(rng, view: View, x: float, y: float, base: float, room: float) -> lis
     return parts
 
 
-def _landscape(rng, view: View) -> Support:
+def _landscape(rng, view: Framing) -> Support:
     if rng.random() < 0.5:  # nothing near: a corridor, a hall, an office
         eye = rng.uniform(0.6, 1.6)
         half = np.array([0.5, 0.3]) * view.distance
@@ -282,7 +282,7 @@ SUPPORTS = {
 # ----- the room behind ------------------------------------------------------------------------------------------
 
 
-def _room(rng, view: View, support: Support) -> list[dict[str, Any]]:
+def _room(rng, view: Framing, support: Support) -> list[dict[str, Any]]:
     """Return floor, walls 1.5 to 6 m behind and beside, a ceiling at times, and furniture along the walls."""
     floor = support.floor - 0.0015
     ground = np.diag([9.0, 9.0, 1.0, 1.0])
@@ -316,7 +316,7 @@ def _room(rng, view: View, support: Support) -> list[dict[str, Any]]:
     return [{**part, "pose": turned @ part["pose"]} for part in parts]
 
 
-def _fixture(rng, view: View, back: float, floor: float, tall: float) -> dict[str, Any]:
+def _fixture(rng, view: Framing, back: float, floor: float, tall: float) -> dict[str, Any]:
     """Return a door, a window frame, a poster or a board on the wall behind."""
     wide = rng.uniform(0.2, 0.9)
     x = rng.uniform(-0.5, 0.5) * (back + 1)
@@ -327,7 +327,7 @@ def _fixture(rng, view: View, back: float, floor: float, tall: float) -> dict[st
     return box([x - wide, back - thick, low], [x + wide, back - 0.002, max(high, low + 0.2)], look)
 
 
-def _furniture(rng, view: View, clear: float, back: float, floor: float, side: float) -> list[dict[str, Any]]:
+def _furniture(rng, view: Framing, clear: float, back: float, floor: float, side: float) -> list[dict[str, Any]]:
     """Return a cupboard, a chest, a carton or a table in the room behind."""
     wide, deep, tall = rng.uniform(0.15, 0.7), rng.uniform(0.1, 0.35), rng.uniform(0.2, 1.6)
     y = rng.uniform(clear + deep, max(back - deep - 0.01, clear + deep + 0.01))
@@ -379,7 +379,7 @@ ROLES = {  # textures and their weights, chance of gloss, chance of a dark look
 }
 
 
-def surface(rng, view: View, role: str) -> dict[str, Any]:
+def surface(rng, view: Framing, role: str) -> dict[str, Any]:
     """Draw the look of an opaque surface of one of ``ROLES``."""
     weights, gloss, dark = ROLES[role]
     kind = str(rng.choice(list(weights), p=np.array(list(weights.values())) / sum(weights.values())))
@@ -398,14 +398,14 @@ def surface(rng, view: View, role: str) -> dict[str, Any]:
         "type": "plastic" if rng.random() < gloss else "matt",
         "texture": kind,
         "texture_seed": int(rng.integers(2**31)),
-        "colours": colours(rng, role, is_dark),
+        "colours": colour_pair(rng, role, is_dark),
         "roughness": float(np.exp(rng.uniform(np.log(0.03), np.log(0.3)))),
         "infrared": float(infrared),
         "repeat": 1.0 if whole else float(np.exp(rng.uniform(*np.log(large)))),
     }
 
 
-def colours(rng, role: str, dark: bool) -> np.ndarray:
+def colour_pair(rng, role: str, dark: bool) -> np.ndarray:
     """Return (2, 3) linear RGB, base and companion: white, grey, wooden or vivid as the role has them."""
     tones = {"wall": (0.7, 0.2, 0.1), "ceiling": (0.9, 0.1, 0.0), "furniture": (0.42, 0.43, 0.15)}
     tones |= {"table": (0.4, 0.4, 0.2), "floor": (0.45, 0.43, 0.12)}
@@ -451,7 +451,7 @@ def metal(rng, smooth: bool, held_out: bool) -> dict[str, Any]:
 Group = list[Thing]  # a vessel with what is in and on it
 
 
-def _place(rng, view: View, support: Support) -> list[Group]:
+def _place(rng, view: Framing, support: Support) -> list[Group]:
     """Put groups of things beside each other; those that matter come first and nearest to the middle."""
     size = view.size * view.distance
     lossy = [] if view.empty else _wanted(rng, view)
@@ -485,7 +485,7 @@ def _place(rng, view: View, support: Support) -> list[Group]:
     return groups
 
 
-def _wanted(rng, view: View) -> list[int]:
+def _wanted(rng, view: Framing) -> list[int]:
     """Return the kinds of the transparent and reflective things of a scene."""
     clear = int(rng.integers(1, 3)) if view.close else int(rng.integers(1, 7))
     shiny = int(rng.choice([0, 1, 2], p=[0.62, 0.25, 0.13]))
@@ -503,13 +503,13 @@ def _lowest(group: Group, rotation: np.ndarray) -> float:
     return float(min(lows))
 
 
-def _stand(rng, view: View, spot: np.ndarray, height: float, half: float, lift: float) -> Thing:
+def _stand(rng, view: Framing, spot: np.ndarray, height: float, half: float, lift: float) -> Thing:
     pose = _turn(rng.uniform(0, np.pi))
     pose[:3, 3] = (*spot, height / 2 + lift)
     return Thing("box", OPAQUE, np.array([half, half, height / 2]), pose, surface(rng, view, "carton"))
 
 
-def _group(rng, view: View, kind: int, size: float) -> tuple[Group, np.ndarray, float]:
+def _group(rng, view: Framing, kind: int, size: float) -> tuple[Group, np.ndarray, float]:
     """Return the parts of one object in its own frame, how it is turned, and its radius on the table."""
     size = size * rng.uniform(0.7, 1.3)
     if kind == OPAQUE:
@@ -551,7 +551,7 @@ def _rotation(turn: float, tilt: float) -> np.ndarray:
     return _turn(turn)[:3, :3] @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
-def _vessel(rng, view: View, kind: int, family: str, size: float) -> tuple[Group, np.ndarray, float]:
+def _vessel(rng, view: Framing, kind: int, family: str, size: float) -> tuple[Group, np.ndarray, float]:
     """A glass, bottle, bowl or the like: standing, lying or upside down; full, capped or labelled at times."""
     material = glass(rng, True, view.held_out) if kind == TRANSPARENT else metal(rng, rng.random() < 0.5, view.held_out)
     solid = material["type"] == "glass"
@@ -576,7 +576,7 @@ def _vessel(rng, view: View, kind: int, family: str, size: float) -> tuple[Group
             add(forms.cap(form, rng.uniform(0.06, 0.11)), OPAQUE, surface(rng, view, "bin"))
         if rng.random() < 0.35:
             start = rng.uniform(0.1, 0.3)
-            add(forms.label(form, start, start + rng.uniform(0.12, 0.3)), OPAQUE, surface(rng, view, "carton"))
+            add(forms.sleeve(form, start, start + rng.uniform(0.12, 0.3)), OPAQUE, surface(rng, view, "carton"))
     rotation = _rotation(rng.uniform(0, 2 * np.pi), tilt)
     return group, rotation, float(np.hypot(*(np.abs(rotation) @ (forms.half_size(form) * scale))[:2]))
 
@@ -596,7 +596,7 @@ def _drink(rng) -> tuple[int, dict[str, Any]]:
     return TRANSPARENT, {**look, "seen_through": bool(rng.random() < 0.5)}
 
 
-def _distractor(rng, view: View, size: float) -> tuple[Group, np.ndarray, float]:
+def _distractor(rng, view: Framing, size: float) -> tuple[Group, np.ndarray, float]:
     """An opaque thing: carton, can, book, phone or screen, cloth, tool, bowl, mug, ball, block."""
     family = str(
         rng.choice(["carton", "can", "book", "phone", "cloth", "tool", "pot", "mug", "ball", "block", "block"])
@@ -641,7 +641,7 @@ def _distractor(rng, view: View, size: float) -> tuple[Group, np.ndarray, float]
     return [thing], rotation, float(np.hypot(*(np.abs(rotation) @ half)[:2]))
 
 
-def _can(rng, view: View, size: float) -> tuple[Group, np.ndarray, float]:
+def _can(rng, view: Framing, size: float) -> tuple[Group, np.ndarray, float]:
     """A tin can: a printed sleeve between two metal-grey rims; opaque, since its readings are good."""
     radius = rng.uniform(0.22, 0.42)
     rim = 0.5 - rng.uniform(0.01, 0.05)
@@ -653,7 +653,7 @@ def _can(rng, view: View, size: float) -> tuple[Group, np.ndarray, float]:
     grey |= {"roughness": float(rng.uniform(0.05, 0.2)), "infrared": float(rng.uniform(0.3, 0.6)), "repeat": 1.0}
     scale = np.full(3, size * rng.uniform(0.5, 1.0))
     look = {**surface(rng, view, "carton"), "type": "plastic"}
-    sleeve = forms.label(body, 0.5 - rim + 0.01, 0.5 + rim - 0.01)
+    sleeve = forms.sleeve(body, 0.5 - rim + 0.01, 0.5 + rim - 0.01)
     group = [Thing("can", OPAQUE, scale, np.eye(4), grey, body), Thing("can", OPAQUE, scale, np.eye(4), look, sleeve)]
     rotation = _rotation(rng.uniform(0, 2 * np.pi), np.pi / 2 if rng.random() < 0.25 else 0.0)
     return group, rotation, float(np.hypot(*(np.abs(rotation) @ np.array([radius, radius, 0.5]) * scale[0])[:2]))

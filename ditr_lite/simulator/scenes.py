@@ -114,7 +114,7 @@ def look_at(eye: np.ndarray, target: np.ndarray, roll: float = 0.0) -> np.ndarra
     return pose
 
 
-def outline(family: str) -> np.ndarray:
+def profile(family: str) -> np.ndarray:
     """Return the (N, 2) outline (radius, height) of a vessel or a sphere, centred on height 0.
 
     A vessel's outline is smoothed by corner cutting, so that it bends like blown glass.

@@ -20,7 +20,7 @@ from ..data import OPAQUE, ROOM_SPLITS, SPLITS, Sample, read_meta, save_sample
 from ..loss_types import label
 from . import cameras as sensors
 from . import stereo as sensor
-from .render import load, mitsuba, render, render_clean, truth
+from .render import build_scene, mitsuba, render, render_clean, truth
 from .rooms import room_scene
 from .scenes import Scene, Thing, random_scene
 
@@ -50,9 +50,9 @@ def simulate(seed: int, split: str = "train", keep_infrared: bool = False, prese
         return _simulate_room(seed, split, keep_infrared, preset)
     scene = random_scene(seed, split)
     rng = np.random.default_rng([seed, 7])
-    kind = None if preset is None else sensors.preset(preset)
+    kind = None if preset is None else sensors.camera_preset(preset)
     camera, stereo = _rig(rng) if kind is None else sensors.rig(kind, SIZE)
-    visible = load(scene)
+    visible = build_scene(scene)
     rgb = photograph(visible, camera, scene.camera_pose, rng, seed)
     points, depth_gt, ids = truth(visible, camera, scene.camera_pose, seed)
     if kind is None:
@@ -73,8 +73,8 @@ def _simulate_room(seed: int, split: str, keep_infrared: bool, preset: str | Non
         focal = width * np.exp(rng.uniform(np.log(0.72), np.log(1.2)))
         camera = Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
     else:
-        camera, stereo = sensors.rig(sensors.preset(preset), ROOM_SIZE)
-    visible = load(scene)
+        camera, stereo = sensors.rig(sensors.camera_preset(preset), ROOM_SIZE)
+    visible = build_scene(scene)
     rgb = photograph_room(visible, camera, scene.camera_pose, rng, seed)
     points, depth_gt, ids = truth(visible, camera, scene.camera_pose, seed)
     if preset is None:
@@ -90,7 +90,7 @@ def _simulate_room(seed: int, split: str, keep_infrared: bool, preset: str | Non
         depth = sensor.stray(depth, strays, rng)
         how |= {"exposure": exposure, **settings, "strays": vars(strays)}
     else:
-        kind = sensors.preset(preset)
+        kind = sensors.camera_preset(preset)
         depth, dropped, seen, pair = sensors.measure(kind, scene, points, camera, stereo, ROOM_INFRARED_SAMPLES, seed)
         how = {"sensor": preset}
     frame = (rgb, depth, depth_gt, ids)
@@ -150,7 +150,7 @@ def _random_sensor(
     """
     left_pose = scene.camera_pose @ stereo.motion()
     right_pose = left_pose @ _shift(stereo.baseline_m)
-    lit = load(scene, left_pose @ _shift(stereo.baseline_m * rng.uniform(0.2, 0.8)), rng)
+    lit = build_scene(scene, left_pose @ _shift(stereo.baseline_m * rng.uniform(0.2, 0.8)), rng)
     matcher = sensor.random_matcher(rng) if scene.parts is None else sensor.random_room_matcher(rng)
     pair, seen = [], []
     for pose in (left_pose, right_pose):
@@ -194,7 +194,7 @@ def simulate_many(
             f"expected a split of {', '.join(SPLITS + ROOM_SPLITS)} and a count >= 1, got {split!r} and {count}"
         )
     if preset is not None:
-        sensors.preset(preset)
+        sensors.camera_preset(preset)
     folder = Path(root) / split
     _check_sensor(folder, preset)
     mitsuba()

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..camera import Camera
 from ..data import OPAQUE, TRANSPARENT
-from .render import load, mitsuba, render, truth
+from .render import build_scene, mitsuba, render, truth
 from .scenes import Scene
 
 SHEET_M = 0.002  # glass in one wall that the scene keeps as a sheet without thickness
@@ -133,7 +133,7 @@ def follow(loaded: Any, scene: Scene, origin: np.ndarray, direction: np.ndarray)
     return 0.0, 0.0, walls, first
 
 
-def measure(
+def measure_flight(
     scene: Scene, camera: Camera, pose: np.ndarray, settings: TimeOfFlight, paths: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return what the camera reads, in its own view.
@@ -151,7 +151,7 @@ def measure(
         (h, w) float32 true z.
     """
     rng = np.random.default_rng([seed, 11])
-    lit = load(scene, pose, rng, slide=np.ones((8, 8)))  # a lamp beside the lens instead of dots
+    lit = build_scene(scene, pose, rng, slide=np.ones((8, 8)))  # a lamp beside the lens instead of dots
     points, depth, ids = truth(lit, camera, pose, seed)
     local = (points - pose[:3, 3]) @ pose[:3, :3]
     seen = depth > 0

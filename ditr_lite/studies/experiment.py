@@ -58,7 +58,7 @@ DECISIVE = (  # files and folders of the package that decide how an arm is train
 )
 
 
-def compare(
+def compare_settings(
     settings: Mapping[str, Any],
     data: Path | str | None = None,
     val: Path | str = SAMPLES / "val",
@@ -211,7 +211,7 @@ def train_arm(
 
 
 def format_comparison(result: Mapping[str, Any]) -> str:
-    """Return :func:`compare`'s result as text."""
+    """Return :func:`compare_settings`'s result as text."""
     changed = ", ".join(f"{key}={value}" for key, value in result["settings"].items())
     width = max(len(changed), len("tiny as it is"))
     trained = ", ".join(result["trained"]) or "nothing"

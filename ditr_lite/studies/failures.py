@@ -113,7 +113,7 @@ def worst(errors: Mapping[str, float | None], count: int = 10) -> list[str]:
     return sorted(scored, key=lambda name: -scored[name])[:count]
 
 
-def verdict(key: str, rho: tuple[float, float, float] | None) -> str:
+def correlation_verdict(key: str, rho: tuple[float, float, float] | None) -> str:
     """Return in words what a correlation says about one figure of :data:`DESCRIBED`."""
     if rho is None:
         return f"{key}: cannot be told from these frames"

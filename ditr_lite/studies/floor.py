@@ -14,13 +14,15 @@ import torch
 from torch import Tensor
 from tqdm.auto import tqdm
 
-from ..autoencoder import VQAutoencoder, depth_steps
-from ..conditioning import depth_bounds, fill, without_strays
+from ..autoencoder import VQAutoencoder
+from ..conditioning import depth_bounds, fill
 from ..config import from_dict
 from ..data import Sample
 from ..evaluation.statistics import bootstrap_mean, format_interval, interval
 from ..metrics import pixel_sets
 from ..store import load_part, read_card
+from ..training.losses import depth_steps
+from ..units import without_strays
 
 EDGE = 0.05  # relative step between neighbours from which a pixel lies at a depth edge
 SETS = ("whole", "optical", "geometric", "edge", "interior")

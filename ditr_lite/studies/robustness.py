@@ -68,10 +68,7 @@ def object_size(sample: Sample, zoom: float) -> Sample:
     """
     height, width = sample.depth.shape
     if zoom >= 1:
-        v, u = _centre(sample)
-        high, wide = round(height / zoom), round(width / zoom)
-        top, left = (int(np.clip(c - n / 2, 0, N - n)) for c, n, N in ((v, high, height), (u, wide, width)))
-        cut = np.s_[top : top + high, left : left + wide]
+        cut = _about_region(sample, round(height / zoom), round(width / zoom))
         return _each(sample, lambda a: _resize(a[cut], (height, width)))
     down, across = (round(n * (1 / zoom - 1) / 2) for n in (height, width))
     return _each(sample, lambda a: _resize(_mirror(a, down, down, across, across), (height, width)))
@@ -92,19 +89,18 @@ def distance(sample: Sample, median_m: float) -> Sample:
 def aspect(sample: Sample, ratio: float) -> Sample:
     """Make the picture ``ratio`` times as wide as high, by cutting it; below 1 it is portrait."""
     height, width = sample.depth.shape
-    v, u = _centre(sample)
     high, wide = (height, round(height * ratio)) if ratio * height <= width else (round(width / ratio), width)
-    top, left = (int(np.clip(c - n / 2, 0, N - n)) for c, n, N in ((v, high, height), (u, wide, width)))
-    return _each(sample, lambda a: np.ascontiguousarray(a[top : top + high, left : left + wide]))
+    cut = _about_region(sample, high, wide)
+    return _each(sample, lambda a: np.ascontiguousarray(a[cut]))
 
 
-def levels(sample: Sample, count: float) -> Sample:
+def rounded(sample: Sample, count: float) -> Sample:
     """Round depth to ``count`` levels between its least and its largest reading, as an 8-bit picture (256) would."""
     read = sample.depth > 0
     low, high = float(sample.depth[read].min()), float(sample.depth[read].max())
     step = max(high - low, 1e-6) / (count - 1)
-    rounded = low + np.rint((sample.depth - low) / step) * step
-    return replace(sample, depth=np.where(read, rounded, 0).astype(np.float32))
+    level = low + np.rint((sample.depth - low) / step) * step
+    return replace(sample, depth=np.where(read, level, 0).astype(np.float32))
 
 
 CONDITIONS: dict[str, tuple[Condition, tuple[float, ...], float, str]] = {
@@ -116,11 +112,11 @@ CONDITIONS: dict[str, tuple[Condition, tuple[float, ...], float, str]] = {
     "object size": (object_size, (0.4, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0), 1.0, "size in the picture, times"),
     "distance": (distance, (0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0), 0.7, "median depth, m"),
     "aspect": (aspect, (0.5, 0.75, 4 / 3, 2.0, 3.0), 4 / 3, "width over height"),
-    "depth levels": (levels, (16, 32, 64, 128, 256, 65536), 65536, "levels of depth"),
+    "depth levels": (rounded, (16, 32, 64, 128, 256, 65536), 65536, "levels of depth"),
 }
 
 
-def run(
+def score_conditions(
     ditr: Ditr,
     samples: Sequence[Sample],
     conditions: Mapping[str, tuple] = CONDITIONS,
@@ -211,7 +207,7 @@ def _strays(sample: Sample, count: int, draw: Callable[[np.random.Generator], np
     return Disturbed(replace(sample, depth=depth), sample.region)
 
 
-def turned(sample: Sample, quarters: int) -> Disturbed:
+def quarter_turns(sample: Sample, quarters: int) -> Disturbed:
     """Turn everything by quarters of a full turn, as a camera mounted on its side or upside down does."""
     return Disturbed(_each(sample, lambda a: np.ascontiguousarray(np.rot90(a, quarters))), sample.region)
 
@@ -255,7 +251,7 @@ DISTURBANCES: dict[str, Callable[[Sample], Disturbed]] = {
     **{f"room at {metres} m": partial(room_behind, metres=metres) for metres in (2, 4, 10)},
     **{f"{count} far strays": partial(far_strays, count=count) for count in (10, 50, 250)},
     "50 near strays": partial(near_strays, count=50),
-    **{f"turned by {90 * k}": partial(turned, quarters=k) for k in (1, 2, 3)},
+    **{f"turned by {90 * k}": partial(quarter_turns, quarters=k) for k in (1, 2, 3)},
     **{f"distance x {factor}": partial(farther, factor=factor) for factor in (0.1, 3)},
     "300 readings": partial(few_readings, count=300),
     "16 scan lines": partial(scan_lines, count=16),
@@ -376,6 +372,15 @@ def format_disturbances(table: Mapping[str, Any]) -> str:
 def _rng(sample: Sample, stream: int) -> np.random.Generator:
     """Return a generator that depends on the frame's content alone, so that a run can be repeated."""
     return np.random.default_rng([stream, int(sample.rgb.sum()), int((sample.depth > 0).sum())])
+
+
+def _about_region(sample: Sample, high: int, wide: int) -> tuple[slice, slice]:
+    """Return where to cut (high, wide) pixels out of the picture: about its region, as far as the border lets them."""
+    height, width = sample.depth.shape
+    v, u = _centre(sample)
+    top = int(np.clip(v - high / 2, 0, height - high))
+    left = int(np.clip(u - wide / 2, 0, width - wide))
+    return np.s_[top : top + high, left : left + wide]
 
 
 def _centre(sample: Sample) -> tuple[float, float]:

@@ -18,8 +18,9 @@ from ..config import RefineConfig
 from ..data import Sample
 from ..evaluation.statistics import bootstrap_mean, interval, paired_bootstrap
 from ..paper.tables import T1, T5
-from ..pipeline import Ditr, check_inputs, compose
+from ..pipeline import Ditr, compose
 from ..stage_two import BRANCHES, Plan
+from ..units import check_inputs
 
 SCORED = ("optical", "geometric", "outside", "whole")
 PARTS = ("geometric", "optical", "whole")  # Table V's two, and Table I's
@@ -126,7 +127,7 @@ class Swapped:
         return compose(depth, painting.optical, painting.geometric, region)
 
 
-def run(
+def score_swaps(
     ditr: Ditr,
     samples: Sequence[Sample],
     swaps: Mapping[str, Swap] = SWAPS,
@@ -154,7 +155,7 @@ def run(
     return rows
 
 
-def summary(rows: Rows, swaps: Mapping[str, Swap] = SWAPS) -> dict[str, Any]:
+def summarise_swaps(rows: Rows, swaps: Mapping[str, Swap] = SWAPS) -> dict[str, Any]:
     """Return per swap and pixel set the RMSE in metres and its paired difference to what it is compared with.
 
     Returns:

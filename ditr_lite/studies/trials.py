@@ -18,7 +18,7 @@ from ..evaluation.costs import costs
 from ..evaluation.results import read
 from ..evaluation.statistics import SeedComparison, compare_seeds, format_interval, mean_known, paired_bootstrap
 from ..store import WEIGHTS, read_card
-from .experiment import compare
+from .experiment import compare_settings
 
 DEFAULT = "the default"
 MANY = {"unet.anchor": "false", "sampler.steps": "10"}  # noise cannot be told from pure noise in a single step
@@ -97,7 +97,7 @@ def try_settings(
         settings: name -> dotted setting -> value.
         seeds: of training.
         save: called with the rows so far after every training.
-        how: passed to :func:`studies.experiment.compare`: data, folder, limit, ...
+        how: passed to :func:`studies.experiment.compare_settings`: data, folder, limit, ...
 
     Returns:
         name -> ``settings``, ``seconds`` (of training, per seed) and ``rmse_m``: pixel set -> seed -> one value a frame
@@ -106,7 +106,7 @@ def try_settings(
     rows: dict[str, Row] = {name: _row(chosen) for name, chosen in {DEFAULT: {}, **settings}.items()}
     for seed in seeds:
         for name, chosen in settings.items():
-            result = compare(chosen, seed=seed, **how)
+            result = compare_settings(chosen, seed=seed, **how)
             for row, arm in ((DEFAULT, "default"), (name, "changed")):
                 if row == DEFAULT and len(rows[row]["seconds"]) > seeds.index(seed):
                     continue  # the same weights as in the comparison before

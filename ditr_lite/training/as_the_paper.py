@@ -7,23 +7,21 @@ the paper says, run by tests and in notebook 02 at a small size.
 """
 
 import math
-import time
 from collections.abc import Callable
+from functools import partial
 
-import numpy as np
-import torch
 from torch import nn
-from tqdm.auto import tqdm
 
-from ..region import region_loss
-from .batches import frames_shuffled
-from .recipes import CLASS_WEIGHTS, rng_of
+from ..boundary import Backend
+from .batches import Batch, epoch_frames, steps_of_an_epoch
+from .loop import FALL, Losses, Recipe, Share, Step, fall_by, fit
+from .losses import region_loss
+from .recipes import CLASS_WEIGHTS
 from .scenes import Scenes
 
 EPOCHS, BATCH, MOMENTUM, WEIGHT_DECAY = 200, 16, 0.9, 1e-4  # stage one
 DENOISER_BATCH, BASE_RATE = 64, 1e-6  # stage two
 PEAK = 0.01  # not in the paper; its fine-tuning rate, 1e-3, is a tenth of it
-FALL = math.log(10)  # our exponential factor ends at a tenth
 Law = Callable[[int, int, int], float]  # (epoch, iteration, epochs) -> learning rate
 
 
@@ -49,7 +47,7 @@ def paper_learning_rate(
     if not 0 <= epoch <= epochs or epochs < 1:
         raise ValueError(f"expected an epoch from 0 to {epochs}, got {epoch}")
     p = epoch / epochs
-    return peak * (1 + math.cos(math.pi * p)) / 2 * math.exp(-fall * p)
+    return peak * fall_by(p, fall)
 
 
 def trosnet_learning_rate(epoch: int, iteration: int, epochs: int = EPOCHS) -> float:
@@ -66,10 +64,30 @@ def trosnet_learning_rate(epoch: int, iteration: int, epochs: int = EPOCHS) -> f
     return 0.001 - 0.0004 * fallen + (0.0005 - 0.0002 * fallen) * math.sin(2 * math.pi * iteration / 228)
 
 
-def sgd(model: nn.Module, momentum: float = MOMENTUM, weight_decay: float = WEIGHT_DECAY) -> torch.optim.SGD:
-    """Return the paper's optimiser over what is not frozen; the rate is set before every step."""
-    parameters = [p for p in model.parameters() if p.requires_grad]
-    return torch.optim.SGD(parameters, lr=PEAK, momentum=momentum, weight_decay=weight_decay)
+def paper_recipe(part: str, scenes: int, epochs: int = EPOCHS) -> Recipe:
+    """Return how the paper trains a part, for a number of scenes.
+
+    Args:
+        part: "region" (S3), "optical" or "geometric" (S6), or "autoencoder", of which the paper says nothing: batches
+            of the denoiser's size, at latent diffusion's rate for such autoencoders, 4.5e-6 for each frame of a batch.
+        scenes: that an epoch has.
+        epochs: 200 for stage one; the paper gives none for stage two, and we take as many.
+
+    Raises:
+        ValueError: for another part, or fewer than one scene or epoch.
+    """
+    if scenes < 1 or epochs < 1:
+        raise ValueError(f"expected scenes and epochs of at least 1, got {scenes} and {epochs}")
+    if part == "region":
+        per_epoch = steps_of_an_epoch(scenes, BATCH)
+        sgd = {"optimiser": "sgd", "momentum": MOMENTUM, "weight_decay": WEIGHT_DECAY, "clip": 0.0, "decay": 0.0}
+        return Recipe(epochs * per_epoch, BATCH, PEAK, warmup=0, law="falling", epoch=per_epoch, **sgd)
+    rates = {"optical": BASE_RATE, "geometric": BASE_RATE, "autoencoder": scaled_rate(4.5e-6, DENOISER_BATCH)}
+    if part not in rates:
+        raise ValueError(f"the paper trains no {part!r}; choose region, {', '.join(rates)}")
+    per_epoch = steps_of_an_epoch(scenes, DENOISER_BATCH)
+    how = {"warmup": 0, "law": "constant", "epoch": per_epoch, "clip": 0.0, "decay": 0.9999}
+    return Recipe(epochs * per_epoch, DENOISER_BATCH, rates[part], **how)
 
 
 def train_region(
@@ -108,40 +126,55 @@ def train_region(
     """
     if epochs < 1 or batch < 1 or not len(scenes):
         raise ValueError(f"expected epochs, batch and scenes of at least 1, got {epochs}, {batch}, {len(scenes)}")
-    optimiser = sgd(model, momentum, weight_decay)
-    weight = torch.tensor(class_weights)
+    per_epoch = steps_of_an_epoch(len(scenes), batch)
+    plain = {
+        "optimiser": "sgd",
+        "clip": 0.0,
+        "decay": 0.0,
+        "warmup": 0,
+    }  # no average: the last weights are what remains
+    recipe = Recipe(epochs * per_epoch, batch, PEAK, momentum=momentum, weight_decay=weight_decay, **plain)
     size = scenes.depth.shape[1:] if size is None else size
-    started = time.monotonic()
-    rows = []
-    iteration = 0
-    for epoch in tqdm(range(epochs), desc="region", unit="epoch"):
-        model.train()
-        losses = []
-        for drawn in frames_shuffled(scenes, size, batch, rng_of(seed, epoch)):
-            step_rate = rate(epoch, iteration, epochs)
-            parts = region_loss(model(drawn.rgb, drawn.depth_n, drawn.valid), drawn.material, weight)
-            descend(optimiser, parts["total"], step_rate)
-            losses.append({k: float(v.detach()) for k, v in parts.items()})
-            iteration += 1
-        row = {"epoch": epoch, "rate": step_rate}
-        for name in losses[0]:
-            row[name] = float(np.mean([x[name] for x in losses]))
-        if validate is not None:
-            model.eval()
-            with torch.no_grad():
-                row |= validate()
-        rows.append(row | {"seconds": time.monotonic() - started})
+    draw = partial(draw_epoch, scenes, size, batch, seed, None)
+    seen: list[dict[str, float]] = []
+    rates: list[float] = []
+
+    def law(step: int, _: Recipe) -> float:
+        rates.append(rate(step // per_epoch, step, epochs))
+        return rates[-1]
+
+    notes = fit(
+        "region",
+        model,
+        Step(draw, partial(score_epoch, model, class_weights)),
+        recipe,
+        None,
+        validate,
+        every=per_epoch,
+        seed=seed,
+        watch=lambda _, losses: seen.append(losses),
+        rate=law,
+    )
     model.eval()
+    rows = []
+    for epoch, last in enumerate(notes["curve"]):
+        steps = seen[epoch * per_epoch : (epoch + 1) * per_epoch]
+        means = {name: sum(s[name] for s in steps) / len(steps) for name in steps[0]}
+        rows.append({"epoch": epoch} | last | means | {"rate": rates[(epoch + 1) * per_epoch - 1]})
     return rows
 
 
-def descend(optimiser: torch.optim.Optimizer, loss: torch.Tensor, rate: float) -> None:
-    """Take one step down the gradient of ``loss`` at the given learning rate."""
-    for group in optimiser.param_groups:
-        group["lr"] = rate
-    optimiser.zero_grad(set_to_none=True)
-    loss.backward()
-    optimiser.step()
+def draw_epoch(
+    scenes: Scenes, size: tuple[int, int], count: int, seed: int, backend: Backend | None, step: int, share: Share
+) -> Batch:
+    """Draw the frames of a step of training in epochs."""
+    return epoch_frames(scenes, size, count, step, seed, backend, share)
+
+
+def score_epoch(model: nn.Module, class_weights: tuple[float, ...], drawn: Batch, step: int, share: Share) -> Losses:
+    """Score what stage one says of frames."""
+    weight = drawn.rgb.new_tensor(class_weights)
+    return region_loss(model(drawn.rgb, drawn.depth_n, drawn.valid), drawn.material, weight)
 
 
 def scaled_rate(base: float = BASE_RATE, batch: int = DENOISER_BATCH, gpus: int = 1) -> float:

@@ -1,14 +1,16 @@
 """Batches: views of scenes in network units, with the guides of the two branches."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from ..boundary import M_DA, M_RGB, Backend, boundary_maps
-from ..conditioning import Bounds, depth_bounds, to_tensor, without_strays
+from ..conditioning import Bounds, depth_bounds, to_tensor
+from ..units import without_strays
+from .loop import WHOLE, Share
 from .scenes import Pool, Scenes
 from .views import View, disturb, frame_view, mix, window_view
 
@@ -27,6 +29,12 @@ class Batch:
     bounds: Bounds  # tensors (B, 1, 1, 1)
     guide_rgb: Tensor | None
     guide_da: Tensor | None
+
+    def to(self, device: torch.device | str) -> "Batch":
+        """Return the batch on a device."""
+        moved = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "bounds"}
+        moved = {name: None if tensor is None else tensor.to(device) for name, tensor in moved.items()}
+        return Batch(**moved, bounds=Bounds(self.bounds.low.to(device), self.bounds.high.to(device)))
 
     @property
     def truth_m(self) -> Tensor:
@@ -92,6 +100,7 @@ def draw_frames(
     backend: Backend | None = None,
     still: bool = False,
     mixed: float = 0.0,
+    share: Share = WHOLE,
 ) -> Batch:
     """Draw whole frames, moved, turned and disturbed.
 
@@ -103,6 +112,7 @@ def draw_frames(
         backend: finds the guides; None leaves them out.
         still: do not move or turn them.
         mixed: share of the frames of which a part is replaced by another.
+        share: of the batch that is returned; all of it is drawn, so that every share knows what the others are.
     """
     views = []
     for _ in range(count):
@@ -110,13 +120,20 @@ def draw_frames(
         if mixed and rng.random() < mixed:
             view = mix(view, frame_view(*pool.pick(rng), size, rng, still), rng)
         views.append(disturb(view, rng))
-    return batch_of(views, backend)
+    return batch_of(share.take(views), backend)
 
 
-def draw_windows(pool: Pool, count: int, side: int, rng: np.random.Generator, backend: Backend | None = None) -> Batch:
+def draw_windows(
+    pool: Pool,
+    count: int,
+    side: int,
+    rng: np.random.Generator,
+    backend: Backend | None = None,
+    share: Share = WHOLE,
+) -> Batch:
     """Draw windows around what the optical branch must paint, a third of them mistaken; see :func:`draw_frames`."""
     views = [disturb(window_view(*pool.pick(rng), (side, side), rng), rng) for _ in range(count)]
-    return batch_of(views, backend, around=True)
+    return batch_of(share.take(views), backend, around=True)
 
 
 def frames_in_order(
@@ -128,14 +145,32 @@ def frames_in_order(
         yield batch_of(views, backend)
 
 
-def frames_shuffled(
-    scenes: Scenes, size: tuple[int, int], count: int, rng: np.random.Generator, backend: Backend | None = None
-) -> Iterator[Batch]:
-    """Yield every scene once as a whole frame, in random order, moved, turned and disturbed; the last may be fewer."""
-    order = rng.permutation(len(scenes))
-    for start in range(0, len(order), count):
-        views = [disturb(frame_view(scenes, i, size, rng), rng) for i in order[start : start + count]]
-        yield batch_of(views, backend)
+def steps_of_an_epoch(scenes: int, count: int) -> int:
+    """Return in how many steps of ``count`` frames every scene is seen once."""
+    return -(-scenes // count)
+
+
+def epoch_frames(
+    scenes: Scenes,
+    size: tuple[int, int],
+    count: int,
+    step: int,
+    seed: int,
+    backend: Backend | None = None,
+    share: Share = WHOLE,
+) -> Batch:
+    """Return what step ``step`` of training in epochs sees: whole frames, moved, turned and disturbed.
+
+    In an epoch every scene is seen once, in random order; its last batch may be smaller, unless it must be shared:
+    then it is filled up from the epoch's beginning.
+    """
+    epoch, place = divmod(step, steps_of_an_epoch(len(scenes), count))
+    order = np.random.default_rng([seed, epoch]).permutation(len(scenes))
+    if share.of > 1:
+        order = np.resize(order, count * steps_of_an_epoch(len(scenes), count))
+    rng = np.random.default_rng([seed, epoch, place])
+    views = [disturb(frame_view(scenes, i, size, rng), rng) for i in order[place * count : (place + 1) * count]]
+    return batch_of(share.take(views), backend)
 
 
 def windows_in_order(

@@ -1,8 +1,9 @@
 """Train the two networks of the ``learned`` boundary backend on the exact outlines of rendered scenes."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from ..conditioning import to_tensor
 from ..config import from_dict, preset
 from ..store import CARD, load_part, read_card, save_part
 from .augment import colours
-from .loop import Recipe, fit
+from .loop import ENGINE, Engine, Losses, Recipe, Share, Step, fit, is_first, wait_for_all
 from .recipes import cl, rng_of
 from .scenes import Scenes, checksum, load_scenes
 from .views import lose
@@ -38,24 +39,31 @@ def exact_outlines(scenes: Scenes) -> dict[str, np.ndarray]:
     return {mode: np.stack(maps) for mode, maps in found.items()}
 
 
-def boundary_step(
-    mode: str, model: nn.Module, scenes: Scenes, recipe: Recipe, seed: int = 0
-) -> Callable[[int], dict[str, Tensor]]:
-    """Return the step loss of one network: cross-entropy of "a boundary lies within a pixel of here".
+def boundary_step(mode: str, model: nn.Module, scenes: Scenes, recipe: Recipe, seed: int = 0) -> Step:
+    """Return the step of one network: cross-entropy of "a boundary lies within a pixel of here".
 
     That is what scoring at a tolerance of one pixel asks, and it does not punish a network for not knowing on which of
     two neighbouring pixels an edge lies. Depth is unknown where the truth is: nothing is asked there.
     """
-    outlines = exact_outlines(scenes)[mode]
+    draw = partial(draw_outlines, mode, scenes, exact_outlines(scenes)[mode], recipe.batch, seed)
+    return Step(draw, partial(score_crops, model))
 
-    def step_loss(step: int) -> dict[str, Tensor]:
-        rng = rng_of(seed, step)
-        crops = [draw_crop(mode, scenes, outlines, rng) for _ in range(recipe.batch)]
-        x, boundary, known = (torch.cat(column) for column in zip(*crops, strict=True))
-        near = F.max_pool2d(boundary, 3, 1, 1)  # within a pixel, diagonals too
-        return {"total": F.binary_cross_entropy_with_logits(model(cl(x)), near, known)}
 
-    return step_loss
+def draw_outlines(
+    mode: str, scenes: Scenes, outlines: np.ndarray, count: int, seed: int, step: int, share: Share
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return a share of the crops of a step, stacked; see :func:`draw_crop`."""
+    rng = rng_of(seed, step)
+    crops = share.take([draw_crop(mode, scenes, outlines, rng) for _ in range(count)])
+    x, boundary, known = (torch.cat(column) for column in zip(*crops, strict=True))
+    return x, boundary, known
+
+
+def score_crops(model: nn.Module, crops: tuple[Tensor, Tensor, Tensor], step: int, share: Share) -> Losses:
+    """Score what a network says of crops."""
+    x, boundary, known = crops
+    near = F.max_pool2d(boundary, 3, 1, 1)  # within a pixel, diagonals too
+    return {"total": F.binary_cross_entropy_with_logits(model(cl(x)), near, known)}
 
 
 def draw_crop(
@@ -116,6 +124,7 @@ def train_boundary(
     limit: int | None = None,
     seed: int = 0,
     command: str | None = None,
+    engine: Engine = ENGINE,
     **changes: Any,
 ) -> dict[str, Any]:
     """Train both networks and write ``boundary.safetensors`` with its entry in the card; a stopped run goes on.
@@ -129,6 +138,7 @@ def train_boundary(
         limit: use only the first scenes.
         seed: of everything random.
         command: that asked for it, for the card.
+        engine: on what and how it runs.
         changes: ``steps``, ``batch``, ``lr`` instead of the recipe's; the depth network takes a third of the steps.
 
     Returns:
@@ -152,7 +162,8 @@ def train_boundary(
     depth = replace(colour, steps=max(1, round(colour.steps * DEPTH_SHARE)))
     for mode, recipe in (("rgb", colour), ("depth", depth)):
         step = boundary_step(mode, nets[mode], scenes, recipe, seed)
-        notes[mode] = fit(f"boundary-{mode}", nets[mode], step, recipe, work, every=100, seed=seed, key=json.dumps(key))
+        how = {"every": 100, "seed": seed, "key": json.dumps(key), "engine": engine}
+        notes[mode] = fit(f"boundary-{mode}", nets[mode], step, recipe, work, **how)
         found = probabilities(mode, nets[mode].eval(), held_out)
         cut, score = best_threshold(found, truths[mode])
         notes[mode] |= {"recipe": vars(recipe), "threshold": cut, "val_f": round(score, 4)}
@@ -160,5 +171,7 @@ def train_boundary(
     notes |= {"command": command, "seed": seed}
     notes |= {"scenes": len(scenes), "first_scene": scenes.names[0], "last_scene": scenes.names[-1]}
     config = from_dict(read_card(out)["config"]) if (out / CARD).is_file() else preset("lite")
-    save_part("boundary", nets.state_dict() | {"thresholds": torch.tensor(thresholds)}, config, out, notes)
+    if is_first():
+        save_part("boundary", nets.state_dict() | {"thresholds": torch.tensor(thresholds)}, config, out, notes)
+    wait_for_all()
     return notes

@@ -20,21 +20,23 @@ painted *elsewhere* is left out.
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-from tqdm.auto import tqdm
 
 from ..boundary import get_backend
 from ..config import Config, RefineConfig
-from ..region import region_loss, region_probability
+from ..region import region_probability
 from ..schedule import make_schedule
 from ..stage_two import BRANCHES, Painter, Views, paint
-from .as_the_paper import descend, sgd
-from .batches import Batch, frames_shuffled
+from .as_the_paper import MOMENTUM, WEIGHT_DECAY, draw_epoch
+from .batches import Batch
+from .loop import Losses, Recipe, Share, Step, fit
+from .losses import region_loss
 from .parts import painter_of
-from .recipes import CLASS_WEIGHTS, rng_of
+from .recipes import CLASS_WEIGHTS
 from .scenes import Scenes
 
 RATE, EPOCHS = 1e-3, 50  # the paper's
@@ -195,27 +197,31 @@ def finetune_region(
     """
     if steps < 1 or batch < 1:
         raise ValueError(f"expected steps and batch of at least 1, got {steps} and {batch}")
-    model.requires_grad_(True).train()
-    optimiser = sgd(model)
-    weight = torch.tensor(CLASS_WEIGHTS)
-    backend = get_backend(boundary)
-    rows = []
-    epoch = 0
-    with tqdm(total=steps, desc="fine-tuning", unit="step") as bar:
-        while len(rows) < steps:
-            for drawn in frames_shuffled(scenes, config.size, batch, rng_of(seed, epoch), backend):
-                outputs = model(drawn.rgb, drawn.depth_n, drawn.valid)
-                segmentation = region_loss(outputs, drawn.material, weight)["total"]
-                probability = region_probability(outputs)
-                region = soft_region(probability, config.refine, straight_through=straight_through)
-                rmse = final_rmse(final_depth(drawn, region, paints), drawn)
-                total = segmentation + rmse_weight * rmse
-                figures = {"total": total, "segmentation": segmentation, "rmse_m": rmse}
-                rows.append({k: float(v.detach()) for k, v in figures.items()})
-                descend(optimiser, total, rate)
-                bar.update()
-                if len(rows) == steps:
-                    break
-            epoch += 1
+    model.requires_grad_(True)
+    plain = {"optimiser": "sgd", "clip": 0.0, "decay": 0.0, "warmup": 0, "law": "constant"}
+    recipe = Recipe(steps, batch, rate, momentum=MOMENTUM, weight_decay=WEIGHT_DECAY, **plain)
+    draw = partial(draw_epoch, scenes, config.size, batch, seed, get_backend(boundary))
+    rows: list[dict[str, float]] = []
+    score = partial(score_final, model, paints, config, rmse_weight, straight_through)
+    fit("fine-tuning", model, Step(draw, score), recipe, None, seed=seed, watch=lambda _, losses: rows.append(losses))
     model.eval().requires_grad_(False)
     return rows
+
+
+def score_final(
+    model: nn.Module,
+    paints: Paints,
+    config: Config,
+    rmse_weight: float,
+    straight_through: bool,
+    drawn: Batch,
+    step: int,
+    share: Share,
+) -> Losses:
+    """Score stage one by its classes and by the final depth that follows from its region."""
+    outputs = model(drawn.rgb, drawn.depth_n, drawn.valid)
+    weight = drawn.rgb.new_tensor(CLASS_WEIGHTS)
+    segmentation = region_loss(outputs, drawn.material, weight)["total"]
+    region = soft_region(region_probability(outputs), config.refine, straight_through=straight_through)
+    rmse = final_rmse(final_depth(drawn, region, paints), drawn)
+    return {"total": segmentation + rmse_weight * rmse, "segmentation": segmentation, "rmse_m": rmse}

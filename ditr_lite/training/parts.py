@@ -1,7 +1,7 @@
 """Train one part from start to shipped file: load scenes, run its recipe, validate, save weights and card."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
@@ -14,7 +14,6 @@ from torch import Tensor, nn
 from ..boundary import get_backend
 from ..conditioning import fill
 from ..config import Config, from_dict, to_dict
-from ..data import SAMPLES
 from ..metrics import iou
 from ..pipeline import build
 from ..region import region_probability
@@ -22,7 +21,8 @@ from ..stage_two import BRANCHES, Painter
 from ..store import CARD, WEIGHTS, copy_part, copy_weights, load_part, read_card, save_part
 from . import recipes
 from .batches import Batch, frames_in_order, windows_in_order
-from .loop import Recipe, fit
+from .loop import ENGINE, Engine, Recipe, Step, fit, is_first, wait_for_all
+from .readers import RealFrames
 from .scenes import Pool, Scenes, checksum, load_scenes
 
 PARTS = ("autoencoder", "region", "optical", "geometric", "detail")  # in the order in which they need each other
@@ -48,9 +48,9 @@ def folder_name(settings: Mapping[str, Any]) -> str:
 def train(
     part: str,
     config: Config,
-    data: Sequence[Path | str] = ("outputs/scenes/train", "outputs/scenes/rooms_train"),
-    val: Sequence[Path | str] = (SAMPLES / "val", SAMPLES / "rooms_val"),
-    out: Path | str = WEIGHTS,
+    data: Sequence[Path | str],
+    val: Sequence[Path | str],
+    out: Path | str,
     work: Path | str = "outputs/training",
     recipe: Recipe | None = None,
     limit: int | None = None,
@@ -58,6 +58,8 @@ def train(
     boundary: str = "classical",
     start: Path | str | None = None,
     command: str | None = None,
+    engine: Engine = ENGINE,
+    real: RealFrames | None = None,
 ) -> dict[str, Any]:
     """Train ``part`` and write its weights and its entry in the card.
 
@@ -75,6 +77,8 @@ def train(
         start: weights folder to go on from, such as the shipped one for frames of your own; its other parts are
             copied to ``out`` if that is empty. None begins afresh.
         command: that asked for it, for the card.
+        engine: on what and how it runs.
+        real: frames of a dataset to train on, besides the rendered scenes or in their place.
 
     Returns:
         the entry of the card: command, recipe, scenes, seconds, curve.
@@ -87,15 +91,20 @@ def train(
         raise ValueError(f"unknown part {part!r}; choose one of {', '.join(PARTS)}")
     check_same_system(config, out)
     recipe = recipe or recipes.RECIPES[part]
-    scenes = [load_scenes(folder, limit) for folder in data]
+    wanted = real is None or real.scene_share > 0
+    scenes = [load_scenes(folder, limit) for folder in data] if wanted else []
     held_out = {Path(folder).name: load_scenes(folder) for folder in val}
-    return train_on(part, config, scenes, held_out, out, work, recipe, seed, start, command, boundary)
+    pool, remarks = Pool(scenes) if real is None else real.pool(part, config, scenes), {}
+    if real is not None:
+        held_out |= real.held_out(part, config)
+        remarks = {"dataset": real.name, "scene_share": real.scene_share, "zero_region": real.zero_region}
+    return train_on(part, config, pool, held_out, out, work, recipe, seed, start, command, boundary, engine, **remarks)
 
 
 def train_on(
     part: str,
     config: Config,
-    scenes: Sequence[Scenes],
+    scenes: Sequence[Scenes] | Pool,
     held_out: Mapping[str, Scenes] | None,
     out: Path | str,
     work: Path | str,
@@ -104,6 +113,7 @@ def train_on(
     start: Path | str | None = None,
     command: str | None = None,
     boundary: str = "classical",
+    engine: Engine = ENGINE,
     **remarks: Any,
 ) -> dict[str, Any]:
     """Do what :func:`train` does with scenes that are in memory already.
@@ -111,7 +121,7 @@ def train_on(
     Args:
         part: one of :data:`PARTS`.
         config: sizes.
-        scenes: groups of scenes to train on.
+        scenes: groups of scenes to train on, or a pool with shares of its own.
         held_out: name -> scenes to validate on; None leaves the validation out.
         out: weights folder.
         work: folder for checkpoints.
@@ -120,6 +130,7 @@ def train_on(
         start: weights folder to go on from, or None.
         command: that asked for it, for the card.
         boundary: backend of the guides.
+        engine: on what and how it runs; of several processes the first alone writes files.
         remarks: what else to enter into the card; a checkpoint made with other remarks is not taken.
 
     Raises:
@@ -128,34 +139,44 @@ def train_on(
     check_same_system(config, out)
     if start is not None:
         check_same_system(config, start, NETWORKS)
-        if not (Path(out) / CARD).is_file():
+    if is_first():
+        if start is not None and not (Path(out) / CARD).is_file():
             copy_weights(start, out)  # the other parts come along: what is trained on stays a whole system
+        if PRETRAINED in needs(part, config):
+            copy_part(PRETRAINED, WEIGHTS, out)
+    wait_for_all()
+    parts = parts_with(part, config, out, seed)
+    if start is not None:
+        parts[part].load_state_dict(load_part(part, start))
+        remarks["start_sha256"] = read_card(start)["parts"][part]["sha256"]
+    model = parts[part].to(memory_format=torch.channels_last)
+    pool = scenes if isinstance(scenes, Pool) else Pool(scenes)
+    step, validate = assemble(part, parts, pool, held_out, config, recipe, boundary, seed)
+    below = [read_card(out)["parts"][name]["sha256"] for name in needs(part, config)]
+    key = json.dumps([to_dict(config), checksum(*pool.groups), below, boundary, remarks], sort_keys=True)
+    notes = fit(part, model, step, recipe, work, validate, seed=seed, key=key, engine=engine)
+    if part == "autoencoder":
+        model.eval()
+        model.calibrate(some_latents(model, pool, config))
+    notes |= {"command": command, "recipe": vars(recipe), "seed": seed}
+    notes |= {"scenes": {f"{s.names[0]} to {s.names[-1]}": len(s) for s in pool.groups}, **remarks}
+    if is_first():
+        save_part(part, model.state_dict(), config, out, notes)
+    wait_for_all()
+    return notes
+
+
+def parts_with(part: str, config: Config, out: Path | str, seed: int) -> nn.ModuleDict:
+    """Return all networks, new but for those that ``part`` builds on: these are read from ``out`` and frozen."""
     torch.manual_seed(seed)
     parts = build(config)
-    if PRETRAINED in needs(part, config):
-        copy_part(PRETRAINED, WEIGHTS, out)
     for name in needs(part, config):
         if name in parts:
             parts[name].load_state_dict(load_part(name, out))
             parts[name].eval().requires_grad_(False)
     if part == "region" and config.region.colour == "pretrained":
         parts["region"].encoder_rgb.encoder.load_state_dict(load_part(PRETRAINED, out))
-    if start is not None:
-        parts[part].load_state_dict(load_part(part, start))
-        remarks["start_sha256"] = read_card(start)["parts"][part]["sha256"]
-    model = parts[part].to(memory_format=torch.channels_last)
-    pool = Pool(scenes)
-    step, validate = _assemble(part, parts, pool, held_out, config, recipe, boundary, seed)
-    below = [read_card(out)["parts"][name]["sha256"] for name in needs(part, config)]
-    key = json.dumps([to_dict(config), checksum(*scenes), below, boundary, remarks], sort_keys=True)
-    notes = fit(part, model, step, recipe, work, validate, seed=seed, key=key)
-    if part == "autoencoder":
-        model.eval()
-        model.calibrate(some_latents(model, pool, config))
-    notes |= {"command": command, "recipe": vars(recipe), "seed": seed}
-    notes |= {"scenes": {f"{s.names[0]} to {s.names[-1]}": len(s) for s in scenes}, **remarks}
-    save_part(part, model.state_dict(), config, out, notes)
-    return notes
+    return parts
 
 
 def check_same_system(config: Config, out: Path | str, settings: tuple[str, ...] = SYSTEM) -> None:
@@ -167,7 +188,7 @@ def check_same_system(config: Config, out: Path | str, settings: tuple[str, ...]
         raise ValueError(f"{out} holds weights of another {', '.join(other)} setting: choose another folder for these")
 
 
-def _assemble(
+def assemble(
     part: str,
     parts: nn.ModuleDict,
     pool: Pool,
@@ -176,7 +197,7 @@ def _assemble(
     recipe: Recipe,
     boundary: str,
     seed: int,
-):
+) -> tuple[Step, Callable[[], dict[str, float]] | None]:
     """Return the step loss and the validation of one part, None without scenes to validate on."""
     model, backend = parts[part], get_backend(boundary)
     painters = {branch: painter_of(branch, parts, config) for branch in BRANCHES}
@@ -224,7 +245,8 @@ def validate_region(model: nn.Module, config: Config, scenes: Scenes) -> dict[st
     """Return the mean IoU at threshold 0.5 over scenes with glass, and the share of all pixels claimed by mistake."""
     overlaps, mistaken = [], []
     for batch in frames_in_order(scenes, config.size):
-        found = region_probability(model(batch.rgb, batch.depth_n, batch.valid))[:, 0] > 0.5
+        given = batch.to(device_of(model))
+        found = (region_probability(model(given.rgb, given.depth_n, given.valid))[:, 0] > 0.5).cpu()
         for claimed, true in zip(found.numpy(), batch.region[:, 0].numpy() > 0, strict=True):
             if true.any():
                 overlaps.append(iou(claimed, true))
@@ -236,6 +258,7 @@ def validate_autoencoder(model: nn.Module, config: Config, scenes: Scenes) -> di
     """Return the relative error of decoding the encoded truth, in regions and in holes."""
     region, holes = [], []
     for batch in held_out_batches("optical", scenes, config):
+        batch = batch.to(device_of(model))
         decoded = model(recipes.cl(fill(batch.gt_n, batch.gt_known)))["reconstruction"]
         error = batch.relative_error(decoded)
         region += root_mean_square(error, batch.region * batch.gt_known)
@@ -275,6 +298,7 @@ def scene_errors(
     """
     errors = []
     for batch in held_out_batches(branch, scenes, config, boundary):
+        batch = batch if painter is None else batch.to(device_of(painter.net))
         decoded, paint = recipes.one_step(branch, painter, batch, config, seed)
         errors += root_mean_square(batch.relative_error(decoded), paint * batch.gt_known)
     return np.array(errors)
@@ -292,6 +316,7 @@ def validate_detail(
     for branch, painter in painters.items():
         before, after = [], []
         for batch in held_out_batches(branch, scenes, config, boundary):
+            batch = batch.to(device_of(model))
             decoded, paint = recipes.one_step(branch, painter, batch, config)
             where = paint * batch.gt_known
             before += root_mean_square(batch.relative_error(decoded), where)
@@ -299,6 +324,32 @@ def validate_detail(
         figures[f"{branch}_before"] = float(np.nanmean(before))
         figures[branch] = float(np.nanmean(after))
     return figures
+
+
+@torch.no_grad()
+def sharpened_errors(
+    model: nn.Module, painters: Mapping[str, Painter], config: Config, scenes: Scenes, boundary: str = "classical"
+) -> np.ndarray:
+    """Return, per scene, the relative RMSE after the finer final step, the mean over the branches; NaN without any."""
+    found = np.full((len(painters), len(scenes)), np.nan)
+    for row, (branch, painter) in zip(found, painters.items(), strict=True):
+        asked = range(len(scenes))
+        if branch == "optical" and config.window:
+            asked = [i for i in asked if (scenes.material[i] > 0).any()]
+        errors = []
+        for batch in held_out_batches(branch, scenes, config, boundary):
+            batch = batch.to(device_of(model))
+            decoded, paint = recipes.one_step(branch, painter, batch, config)
+            error = batch.relative_error(recipes.sharpened(model, decoded, batch))
+            errors += root_mean_square(error, paint * batch.gt_known)
+        row[list(asked)] = errors
+    known = ~np.isnan(found)
+    return np.where(known.any(0), np.where(known, found, 0).sum(0) / np.maximum(known.sum(0), 1), np.nan)
+
+
+def device_of(model: nn.Module) -> torch.device:
+    """Return where a network's weights are."""
+    return next(model.parameters()).device
 
 
 def root_mean_square(error: Tensor, where: Tensor) -> list[float]:

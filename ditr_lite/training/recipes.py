@@ -2,9 +2,12 @@
 
 Paper: Sec. V-B. The lite recipes depart from it (AdamW, one cosine decay, minutes instead of days); the card of the
 weights names the command, the steps and the data they were made with.
+
+A step has two halves (``loop.Step``): ``draw_*`` takes pictures and NumPy's random numbers, on the CPU and maybe in a
+worker; ``score_*`` runs the networks. What a share of a batch draws is its part of what the whole batch draws.
 """
 
-from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import torch
@@ -12,16 +15,17 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from .. import diffusion
-from ..autoencoder import VQAutoencoder, autoencoder_loss
+from ..autoencoder import VQAutoencoder
 from ..boundary import Backend
 from ..conditioning import condition, fill
 from ..config import Config
 from ..detail import detail_input
-from ..region import ColourEncoder, region_loss
+from ..region import ColourEncoder
 from ..schedule import NoiseSchedule, make_schedule
 from ..stage_two import Painter, encode_picture
 from .batches import Batch, draw_frames, draw_windows
-from .loop import Recipe
+from .loop import WHOLE, Losses, Recipe, Share, Step
+from .losses import autoencoder_loss, region_loss
 from .scenes import Pool
 
 CLASS_WEIGHTS = (0.4, 1.0, 1.0)  # background, transparent, reflective
@@ -30,7 +34,6 @@ STILL, STILL_SHARE = 0.25, 0.7  # last part of stage one's training, and the sha
 MIXED_SHARE = 0.4  # of stage one's frames, before that, in which two scenes are mixed: scenes are few
 CROP = 64  # pixels a side that the autoencoder sees: it is convolutional
 LAST_STEP_SHARE = 0.5  # of a batch is noised fully: one-step sampling begins, and ends, there
-StepLoss = Callable[[int], dict[str, Tensor]]
 
 RECIPES = {
     "autoencoder": Recipe(steps=2500, batch=16, lr=2e-3),
@@ -46,22 +49,27 @@ def rng_of(seed: int, step: int) -> np.random.Generator:
     return np.random.default_rng([seed, step])
 
 
-def region_step(model: nn.Module, pool: Pool, config: Config, recipe: Recipe, seed: int = 0) -> StepLoss:
+def region_step(model: nn.Module, pool: Pool, config: Config, recipe: Recipe, seed: int = 0) -> Step:
     """Stage one: three classes, deep supervision, boundary loss (Paper: Sec. IV-B).
 
     Variety first, then frames as they will be met: in the last :data:`STILL` of the steps most frames are not moved.
     """
-    weight = torch.tensor(CLASS_WEIGHTS)
     freeze_early(model)
+    return Step(partial(draw_region, pool, config, recipe, seed), partial(score_region, model))
 
-    def step_loss(step: int) -> dict[str, Tensor]:
-        rng = rng_of(seed, step)
-        still = step >= (1 - STILL) * recipe.steps and rng.random() < STILL_SHARE
-        mixed = 0.0 if still else MIXED_SHARE
-        batch = draw_frames(pool, recipe.batch, config.size, rng, still=still, mixed=mixed)
-        return region_loss(model(cl(batch.rgb), batch.depth_n, batch.valid), batch.material, weight)
 
-    return step_loss
+def draw_region(pool: Pool, config: Config, recipe: Recipe, seed: int, step: int, share: Share) -> Batch:
+    """Draw whole frames for stage one."""
+    rng = rng_of(seed, step)
+    still = step >= (1 - STILL) * recipe.steps and rng.random() < STILL_SHARE
+    mixed = 0.0 if still else MIXED_SHARE
+    return draw_frames(pool, recipe.batch, config.size, rng, still=still, mixed=mixed, share=share)
+
+
+def score_region(model: nn.Module, batch: Batch, step: int, share: Share) -> Losses:
+    """Score what stage one says of frames."""
+    weight = batch.rgb.new_tensor(CLASS_WEIGHTS)
+    return region_loss(model(cl(batch.rgb), batch.depth_n, batch.valid), batch.material, weight)
 
 
 def freeze_early(model: nn.Module) -> None:
@@ -74,34 +82,51 @@ def freeze_early(model: nn.Module) -> None:
 
 def autoencoder_step(
     model: VQAutoencoder, pool: Pool, config: Config, recipe: Recipe, seed: int = 0, crop: int = CROP
-) -> StepLoss:
+) -> Step:
     """Autoencoder: ground-truth depth, random crops of windows and frames, edges weighted (Paper: Sec. IV-C)."""
-    factor = model.factor
+    draw = partial(draw_crops, pool, config, recipe, seed, crop, model.factor)
+    return Step(draw, partial(score_autoencoder, model))
 
-    def step_loss(step: int) -> dict[str, Tensor]:
-        rng = rng_of(seed, step)
-        batches = [branch_batch("optical", pool, config, recipe.batch - recipe.batch // 3, rng)]
-        if recipe.batch >= 3:
-            batches.append(branch_batch("geometric", pool, config, recipe.batch // 3, rng))
-        crops = []
-        for batch in batches:
-            for gt, known in zip(fill(batch.gt_n, batch.gt_known), batch.gt_known, strict=True):
-                side = min(crop, *gt.shape[1:])
-                y, x = (factor * int(rng.integers(0, (n - side) // factor + 1)) for n in gt.shape[1:])
-                crops.append((gt[:, y : y + side, x : x + side], known[:, y : y + side, x : x + side]))
-        gt, known = (torch.stack(parts) for parts in zip(*crops, strict=True))  # (B, 1, crop, crop) each
-        return autoencoder_loss(gt, model(cl(gt)), known)
 
-    return step_loss
+def draw_crops(
+    pool: Pool, config: Config, recipe: Recipe, seed: int, crop: int, factor: int, step: int, share: Share
+) -> tuple[Tensor, Tensor]:
+    """Draw crops of the truth and where it is known, (B, 1, crop, crop) each."""
+    rng = rng_of(seed, step)
+    batches = [branch_batch("optical", pool, config, recipe.batch - recipe.batch // 3, rng)]
+    if recipe.batch >= 3:
+        batches.append(branch_batch("geometric", pool, config, recipe.batch // 3, rng))
+    crops = []
+    for batch in batches:
+        for gt, known in zip(fill(batch.gt_n, batch.gt_known), batch.gt_known, strict=True):
+            side = min(crop, *gt.shape[1:])
+            height, width = gt.shape[1:]
+            y = factor * int(rng.integers(0, (height - side) // factor + 1))
+            x = factor * int(rng.integers(0, (width - side) // factor + 1))
+            crops.append((gt[:, y : y + side, x : x + side], known[:, y : y + side, x : x + side]))
+    gt, known = (torch.stack(parts) for parts in zip(*share.take(crops), strict=True))
+    return gt, known
+
+
+def score_autoencoder(model: VQAutoencoder, crops: tuple[Tensor, Tensor], step: int, share: Share) -> Losses:
+    """Score the reconstruction of crops."""
+    gt, known = crops
+    return autoencoder_loss(gt, model(cl(gt)), known)
 
 
 def branch_batch(
-    branch: str, pool: Pool, config: Config, count: int, rng: np.random.Generator, backend: Backend | None = None
+    branch: str,
+    pool: Pool,
+    config: Config,
+    count: int,
+    rng: np.random.Generator,
+    backend: Backend | None = None,
+    share: Share = WHOLE,
 ) -> Batch:
     """Draw what a branch trains on: windows for the optical one, whole frames for the geometric one."""
     if branch == "optical" and config.window:
-        return draw_windows(pool, count, config.window, rng, backend)
-    return draw_frames(pool, count, config.size, rng, backend)
+        return draw_windows(pool, count, config.window, rng, backend, share)
+    return draw_frames(pool, count, config.size, rng, backend, share=share)
 
 
 def branch_inputs(
@@ -117,22 +142,45 @@ def branch_inputs(
 
 def branch_step(
     branch: str, painter: Painter, pool: Pool, config: Config, recipe: Recipe, backend: Backend, seed: int = 0
-) -> StepLoss:
+) -> Step:
     """Denoiser of one branch (Paper: Eq. 8): cells that it must paint count fully, all others a little.
 
     The target is Enc(ground truth). The paper's ``L = Enc(D_in)`` cannot be: it would teach the raw depth. In-region
     evidence is withheld from some batches, so that the branch learns to do without.
     """
-    schedule = make_schedule(config.schedule)
+    draw = partial(draw_branch, branch, pool, config, recipe, backend, seed)
+    score = partial(score_branch, branch, painter, config, make_schedule(config.schedule))
+    return Step(draw, score, frozen_of(painter))
 
-    def step_loss(step: int) -> dict[str, Tensor]:
-        rng = rng_of(seed, step)
-        batch = branch_batch(branch, pool, config, recipe.batch, rng, backend)
-        given, paint = branch_inputs(branch, batch, config, evidence=rng.random() > 0.15)
-        mask = F.avg_pool2d(paint * batch.gt_known, 4) + 0.05
-        return {"total": denoising_loss(painter, batch, given, mask, schedule, config.sampler.prediction)}
 
-    return step_loss
+def frozen_of(*painters: Painter) -> tuple[nn.Module, ...]:
+    """Return the networks of painters that their denoisers build on."""
+    return tuple(net for p in painters for net in (p.autoencoder, p.encoder) if net is not None)
+
+
+def draw_branch(
+    branch: str, pool: Pool, config: Config, recipe: Recipe, backend: Backend, seed: int, step: int, share: Share
+) -> tuple[Batch, bool]:
+    """Draw a batch for a branch, and whether it may see the readings inside the region."""
+    rng = rng_of(seed, step)
+    batch = branch_batch(branch, pool, config, recipe.batch, rng, backend, share)
+    return batch, bool(rng.random() > 0.15)
+
+
+def score_branch(
+    branch: str,
+    painter: Painter,
+    config: Config,
+    schedule: NoiseSchedule,
+    drawn: tuple[Batch, bool],
+    step: int,
+    share: Share,
+) -> Losses:
+    """Score what a branch makes of a batch."""
+    batch, evidence = drawn
+    given, paint = branch_inputs(branch, batch, config, evidence=evidence)
+    mask = F.avg_pool2d(paint * batch.gt_known, 4) + 0.05
+    return {"total": denoising_loss(painter, batch, given, mask, schedule, config.sampler.prediction, share)}
 
 
 def denoising_loss(
@@ -142,6 +190,7 @@ def denoising_loss(
     mask: Tensor,
     schedule: NoiseSchedule,
     prediction: str,
+    share: Share = WHOLE,
 ) -> Tensor:
     """Noise the encoded truth of a batch and score what the denoiser makes of it (Paper: Eq. 8).
 
@@ -152,21 +201,34 @@ def denoising_loss(
         mask: (B, 1, h, w) weight of each latent cell.
         schedule: of the noise.
         prediction: what the denoiser predicts.
+        share: of the whole batch that these views are.
     """
     image, filled, known = given
     with torch.no_grad():
         masked = painter.autoencoder.encode(cl(filled))
-        x0 = painter.autoencoder.encode(cl(fill(batch.gt_n, batch.gt_known)))
-    t = torch.randint(0, schedule.timesteps, (len(x0),))
-    t[: int(LAST_STEP_SHARE * len(x0))] = schedule.timesteps - 1
-    eps = torch.randn_like(x0)
+        x0 = painter.autoencoder.encode(cl(fill(batch.gt_n, batch.gt_known))).float()  # also where bfloat16 computes
+    t, eps = noise_of(x0, schedule.timesteps, share)
     x_t = diffusion.q_sample(x0, t, eps, schedule)
     out = painter.net(x_t, t, encode_picture(painter, image, batch.rgb), masked, known)
-    return diffusion.loss(out, x0, eps, t, schedule, prediction, mask=mask)
+    return diffusion.loss(out.float(), x0, eps, t, schedule, prediction, mask=mask)
+
+
+def noise_of(x0: Tensor, timesteps: int, share: Share = WHOLE) -> tuple[Tensor, Tensor]:
+    """Draw a share's steps t (B,) and noise like ``x0``, (B, C, h, w), out of those of the whole batch.
+
+    They come from torch's generator of the CPU, so that a seed means the same on every device.
+    """
+    whole = torch.cat([x0] * share.of) if share.of > 1 else x0
+    t = torch.randint(0, timesteps, (len(whole),))
+    t[: int(LAST_STEP_SHARE * len(whole))] = timesteps - 1
+    eps = torch.randn_like(whole, device="cpu")
+    return share.take(t).to(x0.device), share.take(eps).to(x0.device)
 
 
 @torch.no_grad()
-def one_step(branch: str, painter: Painter, batch: Batch, config: Config, seed: int = 0) -> tuple[Tensor, Tensor]:
+def one_step(
+    branch: str, painter: Painter, batch: Batch, config: Config, seed: int = 0, share: Share = WHOLE
+) -> tuple[Tensor, Tensor]:
     """Let one denoising step from pure noise paint a batch.
 
     Returns:
@@ -175,8 +237,9 @@ def one_step(branch: str, painter: Painter, batch: Batch, config: Config, seed: 
     schedule = make_schedule(config.schedule)
     (image, filled, known), paint = branch_inputs(branch, batch, config)
     masked = painter.autoencoder.encode(cl(filled))
-    noise = torch.randn(masked.shape, generator=torch.Generator().manual_seed(seed))
-    t = torch.full((len(noise),), schedule.timesteps - 1)
+    shape = (share.of * len(masked), *masked.shape[1:])
+    noise = share.take(torch.randn(shape, generator=torch.Generator().manual_seed(seed))).to(masked.device)
+    t = torch.full((len(noise),), schedule.timesteps - 1, device=masked.device)
     out = painter.net(noise, t, encode_picture(painter, image, batch.rgb), masked, known)
     return painter.autoencoder.decode(diffusion.to_x0(out, noise, t, schedule, config.sampler.prediction)), paint
 
@@ -195,24 +258,48 @@ def detail_step(
     recipe: Recipe,
     backend: Backend,
     seed: int = 0,
-) -> StepLoss:
+) -> Step:
     """Finer final step: what each frozen branch paints, in turn; relative error, L1 and RMS of a view together."""
+    draw = partial(draw_in_turn, tuple(painters), pool, config, recipe, backend, seed)
+    frozen = (*frozen_of(*painters.values()), *(p.net for p in painters.values()))
+    return Step(draw, partial(score_detail, model, painters, config), frozen)
 
-    def step_loss(step: int) -> dict[str, Tensor]:
-        branch = tuple(painters)[step % len(painters)]
-        batch = branch_batch(branch, pool, config, recipe.batch, rng_of(seed, step), backend)
-        decoded, paint = one_step(branch, painters[branch], batch, config, seed=step)
-        error = batch.relative_error(sharpened(model, decoded, batch))
-        weight = paint * batch.gt_known
-        count = weight.sum(dim=(1, 2, 3))
-        some = (count > 0).float()
-        views = some.sum().clamp(min=1)
-        l1 = ((error.abs() * weight).sum(dim=(1, 2, 3)) / count.clamp(min=1) * some).sum() / views
-        mean_square = (error.square() * weight).sum(dim=(1, 2, 3)) / count.clamp(min=1)
-        rms = ((mean_square + 1e-8).sqrt() * some).sum() / views
-        return {"total": 10 * (l1 + rms), "l1": l1, "rms": rms}
 
-    return step_loss
+def draw_in_turn(
+    branches: tuple[str, ...],
+    pool: Pool,
+    config: Config,
+    recipe: Recipe,
+    backend: Backend,
+    seed: int,
+    step: int,
+    share: Share,
+) -> tuple[str, Batch]:
+    """Return the branch whose turn it is and a batch for it."""
+    branch = branches[step % len(branches)]
+    return branch, branch_batch(branch, pool, config, recipe.batch, rng_of(seed, step), backend, share)
+
+
+def score_detail(
+    model: nn.Module,
+    painters: dict[str, Painter],
+    config: Config,
+    drawn: tuple[str, Batch],
+    step: int,
+    share: Share,
+) -> Losses:
+    """Score the finer final step on what a branch paints."""
+    branch, batch = drawn
+    decoded, paint = one_step(branch, painters[branch], batch, config, seed=step, share=share)
+    error = batch.relative_error(sharpened(model, decoded, batch))
+    weight = paint * batch.gt_known
+    count = weight.sum(dim=(1, 2, 3))
+    some = (count > 0).float()
+    views = some.sum().clamp(min=1)
+    l1 = ((error.abs() * weight).sum(dim=(1, 2, 3)) / count.clamp(min=1) * some).sum() / views
+    mean_square = (error.square() * weight).sum(dim=(1, 2, 3)) / count.clamp(min=1)
+    rms = ((mean_square + 1e-8).sqrt() * some).sum() / views
+    return {"total": 10 * (l1 + rms), "l1": l1, "rms": rms}
 
 
 def cl(x: Tensor) -> Tensor:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from tqdm.auto import tqdm
 
-from ..conditioning import fit_frame
 from ..data import read_sample
+from ..windows import fit_frame
 
 MAPS = ("rgb", "depth", "depth_gt", "material", "instances")  # what every scene has
 
@@ -24,6 +24,7 @@ class Scenes:
         depth, depth_gt: (N, H, W) uint16 millimetres, 0 = missing or unknown.
         material: (N, H, W) uint8, 0 opaque, 1 transparent, 2 reflective.
         instances: (N, H, W) uint8, 0 what stands on nothing (table, walls), otherwise one number a thing.
+        key: what stands for the content where the arrays are not in memory; "" has them looked through.
     """
 
     names: list[str]
@@ -32,6 +33,7 @@ class Scenes:
     depth_gt: np.ndarray
     material: np.ndarray
     instances: np.ndarray
+    key: str = ""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -104,7 +106,22 @@ def shrink(scenes: Scenes, size: tuple[int, int]) -> Scenes:
 
 def first(scenes: Scenes, count: int | None) -> Scenes:
     """Return the first ``count`` scenes, all for None."""
-    return Scenes(names=scenes.names[:count], **{name: getattr(scenes, name)[:count] for name in MAPS})
+    some = {name: getattr(scenes, name)[:count] for name in MAPS}
+    return Scenes(names=scenes.names[:count], **some, key=scenes.key)
+
+
+def join(groups: Sequence[Scenes], size: tuple[int, int]) -> Scenes:
+    """Return groups as one, brought to a working size where their sizes differ."""
+    if len({group.depth.shape[1:] for group in groups}) > 1:
+        groups = [shrink(group, size) for group in groups]
+    maps = {name: np.concatenate([getattr(every(g, range(len(g))), name) for g in groups]) for name in MAPS}
+    return Scenes(names=[name for group in groups for name in group.names], **maps)
+
+
+def every(scenes: Scenes, places: Sequence[int]) -> Scenes:
+    """Return the scenes at these places."""
+    some = {name: np.stack([getattr(scenes, name)[i] for i in places]) for name in MAPS}
+    return Scenes(names=[scenes.names[i] for i in places], **some)
 
 
 def checksum(*groups: Scenes) -> str:
@@ -112,6 +129,9 @@ def checksum(*groups: Scenes) -> str:
     digest = hashlib.sha256()
     for scenes in groups:
         digest.update("\n".join(scenes.names).encode())
+        if scenes.key:
+            digest.update(scenes.key.encode())
+            continue
         for name in MAPS:
             maps = getattr(scenes, name)
             digest.update(f"{name} {maps.shape}".encode())

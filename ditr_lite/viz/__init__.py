@@ -1,22 +1,18 @@
 """Every picture of the repository; ``dl.viz.grid`` and its like, drawn with Matplotlib outside pyplot."""
 
-from .grids import (
+from ..camera import unproject as point_cloud_points
+from .grids import Panel, compare, contact_sheet, grid, row, save_panel
+from .panels import (
     GREY,
     OKABE_ITO,
-    Panel,
     Picture,
-    compare,
-    contact_sheet,
     depth,
     depth_limits,
     error,
-    grid,
+    heat,
     labels,
-    point_cloud_points,
     point_cloud_side,
     rgb,
-    row,
-    save_panel,
     signed_error,
     spread,
 )
@@ -32,6 +28,7 @@ __all__ = [
     "depth_limits",
     "error",
     "grid",
+    "heat",
     "labels",
     "point_cloud_points",
     "point_cloud_side",

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 MIME = "application/vnd.plotly.v1+json"
+BACKGROUND = "#4A4A4A"  # points of tables and walls are pale
 AXES = ("x, right (m)", "z, away (m)", "y, up (m)")  # as drawn: the vertical axis last
 
 
@@ -83,7 +84,7 @@ def interactive(
         scene = f"scene{k + 1 if k else ''}"
         x, y, z = np.round(points, 3).T
         index, scale = _palette(colours)
-        marker = {"size": 2, "color": index, "colorscale": scale, "cmin": 0, "cmax": len(scale) - 1}
+        marker = {"size": 2.5, "color": index, "colorscale": scale, "cmin": 0, "cmax": len(scale) - 1}
         figure.add_trace(go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, name=title, scene=scene))
         width = 1 / len(clouds)
         placed = {"x": [k * width, (k + 1) * width], "y": [0, 1]}
@@ -93,13 +94,15 @@ def interactive(
                 scene: {
                     "domain": placed,
                     "aspectmode": "data",
+                    "bgcolor": BACKGROUND,
                     "camera": {"eye": eye},
                     **{f"{n}axis": axis for n, axis in zip("xyz", axes, strict=True)},
                 }
             }
         )
         figure.add_annotation(text=title, x=(k + 0.5) * width, y=1, xref="paper", yref="paper", showarrow=False)
-    figure.update_layout(height=height, margin={"l": 0, "r": 0, "t": 24, "b": 0}, showlegend=False, template="none")
+    figure.update_layout(height=height, margin={"l": 0, "r": 0, "t": 28, "b": 0}, showlegend=False, template="none")
+    figure.update_layout(paper_bgcolor=BACKGROUND, font={"color": "white", "size": 13})
     return figure
 
 

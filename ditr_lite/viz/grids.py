@@ -14,14 +14,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.image import AxesImage
 
-from ..camera import unproject as point_cloud_points
 from ..data import Sample
 from ..files import written_whole
 from .panels import (
     BARS,
     ERROR_MM,
-    GREY,
-    OKABE_ITO,
     WIDTH_IN,
     Picture,
     add_bar,
@@ -30,35 +27,11 @@ from .panels import (
     depth_limits,
     difference_mm,
     error,
-    labels,
     outline,
-    point_cloud_side,
     rgb,
     signed_error,
     spread,
 )
-
-__all__ = [
-    "GREY",
-    "OKABE_ITO",
-    "Panel",
-    "Picture",
-    "compare",
-    "contact_sheet",
-    "depth",
-    "depth_limits",
-    "error",
-    "grid",
-    "labels",
-    "point_cloud_points",
-    "point_cloud_side",
-    "rgb",
-    "row",
-    "save_panel",
-    "signed_error",
-    "spread",
-]
-
 
 TALLEST_IN = 6.0  # a panel, however narrow its picture
 
@@ -210,9 +183,9 @@ def save_panel(
     if region is not None:
         for ax in maps[1:]:
             outline(ax, region)
-    figure.draw_without_rendering()
+    figure.make_legible()
     extents = [ax.get_window_extent() for ax in maps]
     smallest = min(max(extent.width, extent.height) for extent in extents)
-    figure.set_dpi(figure.dpi * max(1.0, 1.01 * width / smallest))
+    figure.set_dpi(np.ceil(figure.dpi * max(1.0, 1.01 * width / smallest)))
     with written_whole(path) as part:
-        part.write_bytes(figure.png())
+        part.write_bytes(figure.png(colours=256))

@@ -9,6 +9,7 @@ import builtins
 from collections.abc import Mapping
 from functools import partial
 from io import BytesIO
+from textwrap import wrap
 
 import matplotlib
 import numpy as np
@@ -18,35 +19,84 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
+from matplotlib.ticker import MaxNLocator
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from ..camera import Camera, unproject
 from ..units import check_metres
 
 OKABE_ITO = ("#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#000000")
 GREY = "#9E9E9E"  # no value
-WIDTH_IN, DPI, FONT = 12.0, 80, 8
+# The book shows 880 pixels across, JupyterLab on a laptop about as many. Type of 9.5 pt is 12.7 of them: it can be read
+# on a projector.
+WIDTH_IN, DPI, FONT = 9.2, 96, 9.5
+SMALLEST_TYPE = "smallest type (px)"  # a remark in the PNG
 ERROR_MM = 50.0  # upper end of |error| where no row fixes it
 BARS = {"depth": "depth (m)", "error": "|error| (mm)", "signed": "error (mm), + is too far", "spread": "std (mm)"}
 
 
 class Picture(Figure):
-    """A matplotlib figure that a notebook shows as a small PNG (256 colours), without pyplot."""
+    """A matplotlib figure that a notebook shows as a small PNG of few colours, without pyplot.
+
+    It is never wider than a page shows, and as wide where several panels lie beside each other; none of its words is
+    smaller than can be read there. What a caller asks for beyond that is brought within it before the figure is drawn,
+    and titles and labels are broken to the width of their panels.
+    """
 
     def __init__(self, width: float, height: float):
         super().__init__(figsize=(width, height), dpi=DPI, layout="constrained")
         FigureCanvasAgg(self)
 
-    def png(self) -> bytes:
-        """Return the figure as an indexed PNG, about a quarter of the full-colour one's size.
+    def make_legible(self) -> None:
+        """Bring width, size of type and lines of titles and labels within what can be read at the size shown."""
+        width, height = self.get_size_inches()
+        if width > WIDTH_IN:
+            self.set_size_inches(WIDTH_IN, height)
+        elif width < WIDTH_IN and self._columns() > 1:
+            self.set_size_inches(WIDTH_IN, height * (WIDTH_IN / width) ** 0.4)
+        self._enlarge_type()
+        self.draw_without_rendering()  # only now are all ticks there, and is the width of a panel known
+        self._enlarge_type()
+        changed = [_break_lines(text, ax) for ax in self.axes for text in (ax.title, ax.xaxis.label)]
+        changed += [_thin_ticks(ax) for ax in self.axes]
+        if any(changed):
+            self.draw_without_rendering()  # two lines are laid out in the second draw
+            self._enlarge_type()
 
-        Colours are chosen for coverage, not by frequency, so that a thin colour bar does not break into steps.
+    def _columns(self) -> int:
+        """Return how many panels lie beside each other, colour bars not counted."""
+        places = [ax.get_subplotspec() for ax in self.axes if ax.get_label() != "<colorbar>"]
+        return len({place.colspan.start for place in places if place})
+
+    def _enlarge_type(self) -> None:
+        for text in self.findobj(Text):
+            text.set_fontsize(max(text.get_fontsize(), FONT))
+
+    def smallest_type_px(self) -> float:
+        """Return the height of the smallest type of the figure, in its own pixels; 0 where there are no words."""
+        sizes = [text.get_fontsize() for text in self.findobj(Text) if text.get_text().strip()]
+        return min(sizes, default=0.0) * self.dpi / 72
+
+    def savefig(self, *args, **keywords) -> None:
+        """Save as matplotlib does, legibly."""
+        self.make_legible()
+        super().savefig(*args, **keywords)
+
+    def png(self, colours: int = 112) -> bytes:
+        """Return the figure as an indexed PNG, about a sixth of the full-colour one's size.
+
+        Colours, 256 at most, are chosen for coverage, not by frequency, so that a thin colour bar does not break into
+        steps.
         """
-        self.draw_without_rendering()  # titles of two lines are laid out in the second draw
+        self.make_legible()
         self.canvas.draw()
         image = Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3])
-        indexed = image.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
-        indexed.save(data := BytesIO(), "png", optimize=True)
+        indexed = image.quantize(colours, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
+        remarks = PngInfo()
+        remarks.add_text(SMALLEST_TYPE, f"{self.smallest_type_px():.1f}")
+        indexed.save(data := BytesIO(), "png", optimize=True, pnginfo=remarks)
         return data.getvalue()
 
     def _ipython_display_(self) -> None:
@@ -56,6 +106,33 @@ class Picture(Figure):
     def _repr_mimebundle_(self, include=None, exclude=None) -> dict[str, str]:
         titles = "; ".join(t for ax in self.axes if (t := ax.get_title().replace("\n", ", ")))
         return {"image/png": base64.b64encode(self.png()).decode("ascii"), "text/plain": f"<Picture: {titles}>"}
+
+
+def _break_lines(text: Text, ax: Axes) -> bool:
+    """Break lines of a title or label that are wider than its panel, so that neighbours do not collide; say whether."""
+    needed, given = text.get_window_extent().width, ax.get_window_extent().width
+    if needed <= given or "$" in text.get_text():  # a formula is not cut
+        return False
+    lines = text.get_text().split("\n")
+    letters = max(12, int(max(map(len, lines)) * given / needed))
+    text.set_text("\n".join("\n".join(wrap(line, letters, break_long_words=False)) for line in lines))
+    return True
+
+
+def _thin_ticks(ax: Axes) -> bool:
+    """Halve the number of ticks along a panel whose numbers run into each other, or turn their names; say whether."""
+    low, high = sorted(ax.get_xlim())
+    ticks = [tick for tick in ax.xaxis.get_major_ticks() if low <= tick.get_loc() <= high and tick.label1.get_text()]
+    boxes = sorted((tick.label1.get_window_extent() for tick in ticks), key=lambda box: box.x0)
+    crowded = any(right.x0 - left.x1 < 2 for left, right in zip(boxes, boxes[1:], strict=False))
+    if not crowded:
+        return False
+    if isinstance(ax.xaxis.get_major_locator(), MaxNLocator):
+        ax.xaxis.get_major_locator().set_params(nbins=max(2, len(ticks) // 2))
+    else:
+        for tick in ticks:
+            tick.label1.set(rotation=25, horizontalalignment="right", rotation_mode="anchor")
+    return True
 
 
 def depth_limits(*maps: np.ndarray) -> tuple[float, float]:
@@ -135,7 +212,29 @@ def rgb(
 def outline(ax: Axes, mask: np.ndarray, colour: str = OKABE_ITO[0]) -> None:
     """Draw the outline of a mask (H, W) bool; nothing for an empty one."""
     if mask.any():
+        limits = ax.axis()  # of the picture beneath, so that panels with and without an outline are alike
         ax.contour(np.pad(mask, 1), [0.5], colors=colour, linewidths=1.2, extent=_extent(mask.shape))
+        ax.axis(limits)
+
+
+def heat(
+    ax: Axes, values: np.ndarray, title: str = "", limits: tuple[float, float] | None = None, bar: bool = True
+) -> AxesImage:
+    """Draw numbers (H, W) without a unit, such as probabilities, dark to bright, with a colour bar.
+
+    Raises:
+        ValueError: when ``values`` is not (H, W).
+    """
+    values = np.asarray(values)
+    if values.ndim != 2:
+        raise ValueError(f"values should be (H, W), got {values.shape}")
+    low, high = limits or (None, None)
+    drawn = ax.imshow(values, cmap="cividis", vmin=low, vmax=high, interpolation="nearest")
+    _bare(ax, title)
+    if bar:
+        extend = "both" if limits else "neither"
+        ax.figure.colorbar(drawn, ax=ax, fraction=0.05, pad=0.02, extend=extend).ax.tick_params(labelsize=FONT)
+    return drawn
 
 
 def labels(ax: Axes, codes: np.ndarray, names: Mapping[int, str], title: str = "") -> AxesImage:
@@ -226,7 +325,7 @@ def add_bar(figure: Figure, drawn: AxesImage, ax: Axes, kind: str, inside: bool 
     place = {"cax": ax.inset_axes((0, 0, 0.05, 1))} if inside else {"ax": ax, "fraction": 0.05, "pad": 0.02}
     bar = figure.colorbar(drawn, extend=extend, **place)
     bar.set_label(BARS[kind], fontsize=FONT)
-    bar.ax.tick_params(labelsize=FONT - 1)
+    bar.ax.tick_params(labelsize=FONT)
 
 
 def difference_mm(depth_m: np.ndarray, depth_gt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -238,8 +337,15 @@ def difference_mm(depth_m: np.ndarray, depth_gt: np.ndarray) -> tuple[np.ndarray
 
 
 def _legend_below(ax: Axes, handles: list[Line2D], columns: int) -> None:
-    style = {"fontsize": FONT - 1, "frameon": False, "handlelength": 1.2, "columnspacing": 1.0}
-    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=columns, **style)
+    """Put a legend below a panel, in at most so many columns and as few as its place across the figure has room for."""
+    style = {"fontsize": FONT, "frameon": False, "handlelength": 1.2, "columnspacing": 1.0}
+    place = ax.get_subplotspec()
+    share = len(place.colspan) / place.get_gridspec().ncols if place else 1.0
+    room = 0.95 * DPI * share * (WIDTH_IN if share < 1 else ax.figure.get_figwidth())
+    for n in range(columns, 0, -1):
+        legend = ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=n, **style)
+        if legend.get_window_extent().width <= room:
+            return
 
 
 def _extent(shape: tuple[int, int]) -> tuple[float, float, float, float]:

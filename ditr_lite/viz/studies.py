@@ -47,10 +47,10 @@ def scatter(ax: Axes, x: Sequence[float], y_m: Sequence[float], marked: Sequence
     x, y, marked = np.asarray(x, float), 1000 * np.asarray(y_m, float), np.asarray(marked, bool)
     for which, colour, size in ((~marked, OKABE_ITO[1], 10), (marked, OKABE_ITO[5], 20)):
         ax.scatter(x[which], y[which], s=size, color=colour, linewidths=0)
-    ax.set_xlabel(label, fontsize=FONT - 1)
+    ax.set_xlabel(label, fontsize=FONT)
     ax.set_title(title, fontsize=FONT)
     ax.set_ylim(0, None)
-    ax.tick_params(labelsize=FONT - 1)
+    ax.tick_params(labelsize=FONT)
 
 
 def against_scene(
@@ -113,7 +113,7 @@ def worst_scenes(
         legend = axes[2 * block, column].get_legend()
         if k == 0:  # one legend says it for all
             names = [text.get_text() for text in legend.texts]
-            style = {"loc": "outside lower center", "ncols": 2, "fontsize": FONT - 1, "frameon": False}
+            style = {"loc": "outside lower center", "ncols": 2, "fontsize": FONT, "frameon": False}
             figure.legend(legend.legend_handles, names, **style)
         legend.remove()
         inside = np.where(sample.region, sample.depth_gt, 0)  # elsewhere no error is of interest

@@ -1,28 +1,10 @@
 import cv2
 import numpy as np
 import pytest
+from made_scenes import box_outline, plane, with_box
 
-from ditr_lite.boundary import boundaries_from_labels, precision_recall_f
+from ditr_lite.boundary import precision_recall_f
 from ditr_lite.boundary.classical import ClassicalBoundary, drop_small, is_depth, spread_readings
-
-
-def plane(height=60, width=80, near=0.6, far=0.9) -> np.ndarray:
-    """Depth of a table that rises towards the top of the image: a plane is linear in 1 / z."""
-    row = 1 / np.linspace(1 / far, 1 / near, height, dtype=np.float32)
-    return np.repeat(row[:, None], width, axis=1)
-
-
-def with_box(depth, z=0.5):
-    depth = depth.copy()
-    depth[20:40, 30:50] = z
-    return depth
-
-
-def box_outline(shape=(60, 80)) -> np.ndarray:
-    labels = np.zeros(shape, int)
-    labels[20:40, 30:50] = 1
-    return boundaries_from_labels(labels)
-
 
 # ---- depth
 

@@ -146,6 +146,7 @@ def lab(tmp_path_factory):
     environment.pop("MPLBACKEND", None)
     command = [sys.executable, "-m", "jupyterlab", "--no-browser", "--ip=127.0.0.1", f"--port={port}"]
     command += ["--ServerApp.port_retries=0", f"--notebook-dir={home}", "--LabApp.expose_app_in_browser=True"]
+    command.append(f"--LabApp.extra_labextensions_path={ROOT / 'tools' / 'labextensions'}")
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         command.append("--allow-root")
     with (home / "log").open("w") as log:

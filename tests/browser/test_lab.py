@@ -74,6 +74,30 @@ def test_the_first_notebook_runs_to_its_end(driver, lab):
     assert state["errors"] == []
 
 
+UNDESCRIBED = """
+return [...document.querySelectorAll(".jp-OutputArea img, .jp-OutputArea .js-plotly-plot")].map(
+  e => e.alt ?? e.getAttribute("aria-label") ?? "").filter(words => words.length < 20);
+"""
+
+
+def described(driver):
+    """Wait until there are pictures, and all have their words."""
+    wait_for(
+        lambda: driver.find_elements("css selector", ".jp-OutputArea img, .jp-OutputArea .js-plotly-plot"), "a picture"
+    )
+    wait_for(lambda: driver.execute_script(UNDESCRIBED) == [], "words for every picture", 10)
+
+
+def test_pictures_have_the_words_of_their_cell(driver, lab):
+    open_notebook(driver, lab, "00_start_here")
+    run_to_first(driver, "viz.row(")
+    described(driver)
+    script = "return [...window.jupyterapp.shell.currentWidget.content.model.cells].map(c => c.getMetadata('alt'))"
+    alts = set(filter(None, driver.execute_script(script)))
+    pictures = driver.find_elements("css selector", ".jp-OutputArea img")
+    assert {picture.get_attribute("alt") for picture in pictures} <= alts
+
+
 def test_a_slider_changes_its_picture(driver, lab):
     from selenium.webdriver.common.keys import Keys
 
@@ -85,6 +109,7 @@ def test_a_slider_changes_its_picture(driver, lab):
     handle.send_keys(Keys.ARROW_RIGHT)
     wait_for(lambda: picture.get_attribute("src") != before, "the picture to change", 20)
     assert int(picture.get_property("naturalWidth")) > 100
+    described(driver)
 
 
 def test_a_cloud_turns(driver, lab):
@@ -104,6 +129,7 @@ def test_a_cloud_turns(driver, lab):
         hand = hand.move_by_offset(12, 4).pause(0.15)
     hand.release().perform()
     wait_for(lambda: driver.execute_script(eye) != before, "the cloud to turn", 20)
+    described(driver)
 
 
 def test_jupyterlab_reports_no_error_of_ours(driver, journal, lab):

@@ -306,7 +306,7 @@ def test_a_changed_tiny_system_is_compared_with_the_default(scenes, tmp_path, fr
 def test_training_never_writes_into_the_shipped_weights_by_itself(scenes, monkeypatch, capsys):
     calls, commands = [], []
 
-    def fake(part, config, data, val, out, work, recipe, limit, seed, boundary, start, command):
+    def fake(part, config, data, val, out, work, recipe, command, **how):
         calls.append((out, work, recipe.steps))
         commands.append(command)
         return {"steps": 0, "seconds": 0, "curve": []}
@@ -331,7 +331,7 @@ def test_a_comparison_does_not_replace_the_shipped_system(tmp_path, capsys):
 def test_scenes_to_validate_on_are_the_shipped_ones_wherever_it_is_called_from(scenes, tmp_path, monkeypatch):
     seen = []
 
-    def fake(*args):
+    def fake(*args, **how):
         seen.append(args[3] if args[0] == "region" else args[1])
         raise ValueError("far enough")
 
@@ -356,7 +356,17 @@ def test_datasets_offered_are_those_that_can_be_read():
     assert set(DATASETS) == set(datasets.REGISTRY)
 
 
-COMMANDS = ["complete", "evaluate", "simulate", "train", "bench", "train-boundary", "bench-boundary", "floor"]
+COMMANDS = [
+    "complete",
+    "evaluate",
+    "simulate",
+    "train",
+    "bench",
+    "train-boundary",
+    "bench-boundary",
+    "compare",
+    "floor",
+]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

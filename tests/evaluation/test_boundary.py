@@ -10,7 +10,7 @@ from ditr_lite.boundary.learned import build_nets
 from ditr_lite.config import preset
 from ditr_lite.data import TRANSPARENT, Sample, list_samples, load_sample
 from ditr_lite.evaluation import boundary as boundary_scoring
-from ditr_lite.evaluation.boundary import bench, canny, format_table, score_backends, summarise, tune_canny
+from ditr_lite.evaluation.boundary import bench, canny, format_scores, score_backends, summarise, tune_canny
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_summary_by_hand():
     assert table["classical"]["precision"][0] == 1 and table["classical"]["f"][0] == pytest.approx(0.3)
     assert table["classical"]["f_gain"] == pytest.approx([0.4, 0.3, 0.5])
     assert table["classical"]["glass_recall"] == [0, 0, 0] and "f_gain" not in table["learned"]
-    text = format_table({"m_rgb": table})
+    text = format_scores({"m_rgb": table})
     assert "+0.400 [+0.300, +0.500]" in text and len(text.splitlines()) == 3
 
 

@@ -26,7 +26,7 @@ def test_what_is_counted_is_what_runs(steps, samples, window):
     ditr = Ditr(build(config), config)
     rng = np.random.default_rng(0)
     rgb, depth = rng.integers(0, 255, (64, 96, 3), np.uint8), np.full((64, 96), 0.6, np.float32)
-    measured = timing.measure(ditr, Sample("any", rgb, depth, depth))[-1]["gflops"]
+    measured = timing.time_stages(ditr, Sample("any", rgb, depth, depth))[-1]["gflops"]
     rows = costs.costs(config)
     assert sum(row["gflops"] * row["calls"] for row in rows) == pytest.approx(measured, rel=1e-9)
     assert sum(row["parameters"] for row in rows) == sum(p.numel() for p in ditr.parts.parameters())

@@ -4,7 +4,7 @@ import pytest
 from ditr_lite import pipeline
 from ditr_lite.config import preset
 from ditr_lite.data import Sample
-from ditr_lite.evaluation.stage_one import PER_CLASS, class_map, class_scores, mask_errors, stage_one
+from ditr_lite.evaluation.stage_one import PER_CLASS, class_map, class_scores, mask_errors, score_stage_one
 
 SHAPE = (64, 96)
 
@@ -62,5 +62,5 @@ def test_overlap_is_of_the_claim_and_the_other_two_of_the_refined_region(tiny):
     probability = np.where(true, 0.9, 0.1).astype(np.float32)
     out = pipeline.Completion(zero, grown, zero, ~true, ~true, ~true, probability, zero, zero, ())
     sample = Sample("test_00000", np.zeros((*SHAPE, 3), np.uint8), zero + 0.6, region=true)
-    scores = stage_one(out, sample, tiny)
+    scores = score_stage_one(out, sample, tiny)
     assert scores["iou"] == 1.0 and scores["miss_rate"] == 0.0 and scores["area_ratio"] > 1.2

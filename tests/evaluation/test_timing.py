@@ -31,8 +31,8 @@ def frame():
 def test_every_operation_belongs_to_one_stage(frame, window):
     ditr = tiny(window=window)
     with pytest.raises(ValueError, match="at least 5 runs"):
-        timing.measure(ditr, frame, runs=4)
-    rows = timing.measure(ditr, frame, steps=1, samples=1)
+        timing.time_stages(ditr, frame, runs=4)
+    rows = timing.time_stages(ditr, frame, steps=1, samples=1)
     by_name = {row["stage"]: row for row in rows}
     assert len(rows) == 6 and all(row["ms"] > 0 for row in rows)
     assert by_name["boundary maps"]["gflops"] is None

@@ -89,6 +89,21 @@ def averages(rule):
     return attempt
 
 
+def added_by_index(count, total, vectors, index, decay):
+    """The moving average with ``+=`` on repeated indices, of which numpy does only one."""
+    count, total = decay * count, decay * total
+    count[index] += 1 - decay
+    total[index] += (1 - decay) * vectors
+    return total / count[:, None]
+
+
+def summed_by_index(count, total, vectors, index, decay):
+    """The same with counts from ``bincount``: only the sums lose vectors."""
+    total = decay * total
+    total[index] += (1 - decay) * vectors
+    return total / (decay * count + (1 - decay) * np.bincount(index))[:, None]
+
+
 def squared(v, b):
     return np.array([[((x - y) ** 2).sum() for y in b] for x in v])
 
@@ -157,6 +172,7 @@ MISTAKES = [
     (checks.check_commitment, pulls(lambda b: -b, lambda b: -1), "not the gradient"),
     (checks.check_commitment, lambda z, e, b: (b * (z - e) / z.size, (e - z) / z.size), "factor 2"),
     (checks.check_commitment, lambda z, e, b: (2 * b * (z - e) / len(z), 2 * (e - z) / len(z)), "not by N"),
+    (checks.check_commitment, lambda z, e, b: commitment(z, e, b)[::-1], "the order is turned"),
     (checks.check_commitment, lambda z, e, b: (2 * b * (z - e), 2 * (e - z)), "sums"),
     (checks.check_commitment, lambda z, e, b: b * 2 * (z - e) / z.size, "shape"),
     (checks.check_moving_average, lambda n, m, v, i, d: moving_average(n, m, v, i, 1 - d), "decay weighs the past"),
@@ -165,6 +181,8 @@ MISTAKES = [
     (checks.check_moving_average, averages(lambda n, m, h, s, d: d * m / n + (1 - d) * s / h), "averages means"),
     (checks.check_moving_average, averages(lambda n, m, h, s, d: (d * m + (1 - d) * s) / n), "count is not moved"),
     (checks.check_moving_average, averages(lambda n, m, h, s, d: (m + s) / (n + h)), "without decay"),
+    (checks.check_moving_average, added_by_index, "adds only one of several"),
+    (checks.check_moving_average, summed_by_index, "last vector only"),
     (checks.check_perplexity, entropy, "take its exponential"),
     (checks.check_perplexity, lambda c: np.exp(-entropy(c)), "sign is turned"),
     (checks.check_perplexity, lambda c: np.e ** (entropy(c) / np.log(2)), "one base"),

@@ -103,6 +103,7 @@ MISTAKES = [
     (checks.check_suppress, lambda m, s, t: nms(m, -s, t), "falling score"),
     (checks.check_suppress, lambda m, s, t: sorted(nms(m, s, t)), "sorted by number"),
     (checks.check_suppress, lambda m, s, t: nms(m, s, 1), "nothing is dropped"),
+    (checks.check_suppress, lambda m, s, t: nms(m, s, t - 1e-9), "equal to max_overlap"),
     (checks.check_mask_outlines, lambda m: np.any([outline(a.astype(int)) for a in m], axis=0), "thrown together"),
     (
         checks.check_mask_outlines,
@@ -119,6 +120,7 @@ MISTAKES = [
         lambda m: np.any([owner(m, 1) > n for n in shifts(owner(m, 1))], axis=0),
         "smaller one is in front",
     ),
+    (checks.check_jumps, lambda a, d, j: jumps(a, d, j - 1e-9), "equal to the jump"),
     (checks.check_jumps, lambda a, d, j: outline(a), "whether depth jumps or not"),
     (checks.check_jumps, lambda a, d, j: jumps(a, d * 1000, j), "not in millimetres"),
     (checks.check_jumps, lambda a, d, j: jumps(a, np.where(d > 0, d, 1e-9), j), "unknown depth"),

@@ -63,6 +63,36 @@ def test_a_known_mistake_is_named(capsys):
     assert "values differ" in run(capsys, lambda x: x**2 + (x == 3), mistakes=mistakes, inputs=inputs)[1]
 
 
+def halves(x):
+    return x[:1], x[1:, 1:]
+
+
+@pytest.mark.parametrize(
+    ("reference", "attempt", "message"),
+    [
+        (double, halves, "its parts should have the shapes one array, got (1, 3) and (1, 2)"),
+        (halves, double, "its parts should have the shapes (1, 3) and (1, 2), got one array"),
+        (halves, lambda x: halves(x)[::-1], "shapes (1, 3) and (1, 2), got (1, 2) and (1, 3)"),
+        (halves, lambda x: halves(x + (x == 5)), "1 of 2 values differ; at (0, 1) expected 5.0, got 6.0"),
+        (halves, lambda x: (halves(x), 3), "its parts should have"),
+    ],
+)
+def test_parts_of_different_shapes_are_compared_and_nothing_stops(capsys, reference, attempt, message):
+    passed, out = run(capsys, attempt, reference=reference)
+    assert not passed and message in out and "stopped" not in out
+    assert run(capsys, reference, reference=reference)[0]
+
+
+def test_a_mistake_of_different_shapes_is_named(capsys):
+    assert "cut apart" in run(capsys, halves, mistakes={"cut apart": halves})[1]
+
+
+def test_the_kind_of_number_counts_where_it_is_asked_for(capsys):
+    inputs = [(np.array([0.5], np.float32),)]
+    for attempt, right in ((double, True), (lambda x: 2 * x.astype(float), False)):
+        assert run(capsys, attempt, inputs=inputs, dtype=True)[0] == right and run(capsys, attempt, inputs=inputs)[0]
+
+
 def test_bit_for_bit(capsys):
     x = np.array([0.1, 0.7], np.float32)
 

@@ -116,6 +116,7 @@ MISTAKES = [
     (checks.check_eps_from_x0, lambda x, y, a: (x + np.sqrt(a) * y) / np.sqrt(1 - a), "is added"),
     (checks.check_eps_from_x0, lambda x, y, a: (x - y) / np.sqrt(1 - a), "must be scaled"),
     (checks.check_eps_from_x0, lambda x, y, a: (x - np.sqrt(1 - a) * y) / np.sqrt(a), "solves for x0"),
+    (checks.check_posterior, posterior_with(lambda m, v, *_: (v, m)), "the order is turned"),
     (checks.check_posterior, posterior_with(lambda m, v, *_: (m, np.sqrt(v))), "no square root"),
     (checks.check_posterior, posterior_with(lambda m, v, x0, x_t, a, p: (m, 1 - a / p)), "beta itself"),
     (checks.check_posterior, posterior_from(lambda a, p: np.sqrt(p) * on_x0(a, p), on_x_t), "abar_prev is missing"),
@@ -143,8 +144,9 @@ MISTAKES = [
     (checks.check_ddim_step, lambda x, y, a, p: 1.0 * y, "pred_x0 itself"),
     (checks.check_ddim_step, lambda x, y, a, p: q_sample(y, eps_from_x0(x, y, p), a), "are swapped"),
     (checks.check_timesteps, lambda n, k: [t + 1 for t in timesteps(n, k)], "off by one"),
+    (checks.check_timesteps, lambda n, k: [n * j // k - 1 for j in range(k, 0, -1)], "cut off instead of rounded"),
     (checks.check_timesteps, lambda n, k: sorted(timesteps(n, k)), "least noisy first"),
-    (checks.check_timesteps, lambda n, k: list(range(0, n, n // k))[::-1], "leading"),
+    (checks.check_timesteps, lambda n, k: [round(n * j / k) for j in range(k)][::-1], "leading"),
     (checks.check_timesteps, lambda n, k: [round(t) for t in np.linspace(n - 1, 0, k)], "linspace"),
     (checks.check_timesteps, lambda n, k: timesteps(n, k + 1), "shape"),
     (

@@ -36,6 +36,13 @@ def match_signed(left, right, row, column, half, largest):
     return np.argmin([(w - right[rows, column - d - half : column - d + half + 1]).sum() for d in range(largest + 1)])
 
 
+def match_even(left, right, row, column, half, largest):
+    def window(image, c):
+        return image[row - half : row + half, c - half : c + half].astype(int)
+
+    return np.argmin([abs(window(left, column) - window(right, column - d)).sum() for d in range(largest + 1)])
+
+
 def refract(angle, n_from, n_to):
     return np.degrees(np.arcsin(n_from * np.sin(np.radians(angle)) / n_to))
 
@@ -92,6 +99,10 @@ WRONG = [
     (checks.check_match, lambda *c: match(*c[:4], 0, c[5]), "whole window"),
     (checks.check_match, lambda *c: match(*c) + 1, "one too large"),
     (checks.check_match, lambda *c: None, "return"),
+    (checks.check_match, lambda *c: match(*c[:5], c[5] - 1), "range(largest + 1)"),
+    (checks.check_match, lambda *c: match(*c[:4], 2 * c[4], c[5]), "its whole side"),
+    (checks.check_match, lambda *c: match(*c[:4], 2 * c[4] + 1, c[5]), "its whole side"),
+    (checks.check_match, match_even, "last row and column"),
     (checks.check_refract, lambda a, n, m: refract(a, m, n), "indices are swapped"),
     (checks.check_refract, lambda a, n, m: np.radians(refract(a, n, m)), "radians"),
     (checks.check_refract, lambda a, n, m: np.degrees(np.arcsin(n * np.sin(a) / m)), "takes radians"),
@@ -108,6 +119,7 @@ WRONG = [
     (checks.check_partition, lambda d, r: (d, d * ~r), "optical part holds everything"),
     (checks.check_partition, lambda d, r: (d * r, d), "geometric part holds everything"),
     (checks.check_partition, lambda d, r: (r.astype(float), (~r).astype(float)), "masks"),
+    (checks.check_partition, lambda d, r: (d[r], d[~r]), "cut short"),
     (checks.check_smallest_offset, lambda *c: 1000 * smallest_offset(*c), "millimetres"),
     (checks.check_smallest_offset, lambda n, f, x, w: smallest_offset(f, n, x, w), "negative"),
     (checks.check_smallest_offset, lambda n, f, x, w: smallest_offset(n, f, 1, w), "focal length"),

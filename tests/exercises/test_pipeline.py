@@ -47,8 +47,13 @@ def unmoved(box, shape):
     return (box[0] + box[2] - side) // 2, (box[1] + box[3] - side) // 2, side
 
 
+def unbounded(box, shape):
+    side = max(2 * (box[2] - box[0]), 2 * (box[3] - box[1]), max(shape) // 5)
+    return *(max(0, min((box[k] + box[k + 2] - side) // 2, shape[k] - side)) for k in (0, 1)), side
+
+
 def square_with(side):
-    return lambda box, shape: moved(box, shape, side(box[2] - box[0], box[3] - box[1], shape))
+    return lambda box, shape: moved(box, shape, min(side(box[2] - box[0], box[3] - box[1], shape), max(shape)))
 
 
 def moved(box, shape, side):
@@ -94,6 +99,7 @@ MISTAKES = [
         lambda b, s: (*square(b, s)[:2], *np.add(square(b, s)[:2], square(b, s)[2])),
         "ends of the square",
     ),
+    (checks.check_square, unbounded, "at most the frame's longer side"),
     (checks.check_square, lambda b, s: square(b, s)[2], "shape"),
     (checks.check_given, lambda d, r: given(d, r)[::-1], "swapped"),
     (checks.check_given, lambda d, r: given(d, ~r), "swapped"),
@@ -116,6 +122,12 @@ MISTAKES = [
     (checks.check_spread, lambda d, o, g, r: spread(d, g, o, r), "branches are swapped"),
     (checks.check_spread, lambda d, o, g, r: spread(d, o, g, ~r), "inverted"),
     (checks.check_spread, lambda d, o, g, r: spread(np.zeros_like(d), o, g, r), "must stay"),
+    (
+        checks.check_spread,
+        lambda d, o, g, r: (np.median(np.where(r, o, np.where(d > 0, d, g)), axis=0), spread(d, o, g, r)[1]),
+        "median",
+    ),
+    (checks.check_spread, lambda *case: (spread(*case)[0], spread(*case)[1] / 2), "uncertainty of the mean"),
     (checks.check_spread, lambda *case: tuple(m.mean() for m in spread(*case)), "shape"),
     (checks.check_spread, lambda *case: spread(*case)[0], "shape (2, 6, 8)"),
     (checks.check_conv_flops, lambda i, o, k, h, w, s: i * o * k**2 * (h // s) * (w // s), "twice as many"),
@@ -128,6 +140,11 @@ MISTAKES = [
     (checks.check_conv_flops, lambda i, o, k, h, w, s: 2 * i * o * k**2 * h * w // s, "height *and* width"),
     (checks.check_conv_flops, lambda i, o, k, h, w, s: i * o * k**2, "weights of the convolution"),
     (checks.check_conv_flops, lambda i, o, k, h, w, s: (2 * i * k**2 + 1) * o * (h // s) * (w // s), "bias"),
+    (
+        checks.check_conv_flops,
+        lambda i, o, k, h, w, s: 2 * i * o * k**2 * (1 + (h - k) // s) * (1 + (w - k) // s),
+        "is padded",
+    ),
     (checks.check_conv_flops, lambda *case: conv_flops(*case) / 1e9, "give operations"),
     (checks.check_conv_flops, lambda i, o, k, h, w, s: conv_flops(i, o, k, h + 2, w, s), "expected"),
 ]

@@ -45,10 +45,10 @@ def test_every_entry_says_where_what_and_how_it_ends():
 
 
 def test_the_table_is_markdown_and_computed():
-    lines = ledger.table().splitlines()
+    lines = ledger.format_ledger().splitlines()
     assert len(lines) == 22 and {line.replace("\\|", "").count("|") for line in lines} == {8}
     assert all(e.measured().replace("|", "\\|") in line for e, line in zip(ledger.ENTRIES, lines[2:], strict=True))
-    few = ledger.table(ledger.ENTRIES[4:6]).splitlines()
+    few = ledger.format_ledger(ledger.ENTRIES[4:6]).splitlines()
     assert [line.split(" | ")[0] for line in few[2:]] == ["| 5", "| 6"]
 
 
@@ -61,7 +61,7 @@ def test_the_sentence_holds_what_was_found(finding):
 
 def test_every_finding_is_tested():
     made = {f for f in vars(ledger).values() if getattr(f, "__module__", "") == ledger.__name__}
-    other = {ledger.committed, ledger.table, ledger.Entry}
+    other = {ledger.committed, ledger.format_ledger, ledger.Entry}
     assert {f for f in made if not f.__name__.startswith("_")} - other == set(FIGURES)
 
 

@@ -39,7 +39,7 @@ def scores():
 
 @pytest.fixture(scope="module")
 def report(scores):
-    return compare.summarise(scores)
+    return compare.summarise_peers(scores)
 
 
 def test_ratios_and_changes_are_those_of_the_means(report):
@@ -69,7 +69,7 @@ def test_errors_by_seed_leave_out_frames_without_such_pixels(report, scores):
     ],
 )
 def test_the_verdict_follows_the_interval(report, ratio, said):
-    optical, whole = compare.verdict(
+    optical, whole = compare.ratio_verdict(
         {**report, "ratio": {"regression": {"optical": ratio, "whole": (0.9, 0.7, 1.1)}}}
     ).splitlines()
     lies = "above" if ratio[2] < 0.73 else "below" if ratio[1] > 0.74 else "inside"
@@ -109,5 +109,5 @@ def test_every_method_is_asked_about_every_frame():
 
     ditr, sample = Ditr.from_pretrained(), load_sample("val_00000")
     rows = {"ditr": lambda s, out: out.depth, "truth": lambda s, out: np.where(s.depth_gt > 0, s.depth_gt, 1)}
-    (found,) = compare.run([sample], ditr, rows).values()
+    (found,) = compare.score_methods([sample], ditr, rows).values()
     assert set(found) == {"ditr", "truth"} and found["truth"]["optical"] == 0 < found["ditr"]["optical"]

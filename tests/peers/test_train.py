@@ -36,7 +36,7 @@ def batch(pool):
 def run(arm, folder, weights, minutes=1e-4, seconds_a_step=0.01):
     (folder / "out").mkdir(exist_ok=True)
     (folder / "out" / "times.json").write_text(json.dumps(dict.fromkeys([*networks.NAMES, *pt.OWN], seconds_a_step)))
-    return pt.train_arm(arm, minutes, 0, DATA, folder / "out", folder / "work", 2, TINY, weights)
+    return pt.train_peers(arm, minutes, 0, DATA, folder / "out", folder / "work", 2, TINY, weights)
 
 
 def test_shares_of_an_arm_add_up_to_its_time():
@@ -69,7 +69,7 @@ def test_all_networks_are_timed_in_turn(tmp_path, pool):
 @pytest.mark.parametrize(("arm", "minutes", "reason"), [("oracle", 1, "unknown arm"), ("dp", 0, "positive number")])
 def test_bad_arguments_are_refused(arm, minutes, reason):
     with pytest.raises(ValueError, match=reason):
-        pt.train_arm(arm, minutes)
+        pt.train_peers(arm, minutes)
 
 
 def test_the_true_orientation_costs_nothing_and_a_wrong_one_does(batch):
@@ -107,7 +107,7 @@ def test_the_single_denoiser_learns_without_a_region(pool, monkeypatch):
 def test_an_arm_may_learn_from_several_folders(tmp_path, weights):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "times.json").write_text(json.dumps({"regression": 0.01}))
-    entries = pt.train_arm(
+    entries = pt.train_peers(
         "regression", 1e-4, 0, [DATA, SAMPLES / "val"], tmp_path / "out", tmp_path / "work", 2, TINY, weights
     )
     assert entries["regression"]["scenes"] == 4

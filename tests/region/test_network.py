@@ -8,13 +8,10 @@ from hypothesis.extra.numpy import arrays
 from ditr_lite.config import RegionConfig, preset
 from ditr_lite.region import (
     COLOUR_ENCODERS,
-    IGNORE,
     BoundaryRefinement,
     CrossModalFusion,
     RegionNet,
-    class_boundary,
     refine_region,
-    region_loss,
     region_probability,
 )
 
@@ -107,68 +104,6 @@ def test_a_pretrained_encoder_has_the_widths_of_the_other_one():
         COLOUR_ENCODERS["pretrained"](3, 8, 5)
 
 
-# ---- the loss
-
-
-def perfect(target, scale=50.0):
-    logits = torch.nn.functional.one_hot(target, 3).movedim(-1, 1).float() * scale
-    edge = (class_boundary(target)[:, None].float() * 2 - 1) * scale
-    return {"logits": logits, "side": [logits], "boundary": edge}
-
-
-def test_a_perfect_answer_costs_nothing_and_a_wrong_one_much():
-    target = torch.zeros(1, 16, 16, dtype=torch.int64)
-    target[:, 4:10, 4:10] = 1
-    losses = region_loss(perfect(target), target)
-    assert all(float(v) < 1e-3 for v in losses.values())
-    wrong = region_loss(perfect(target.flip(1)), target)
-    assert all(float(wrong[k]) > 0.1 for k in losses)
-
-
-def test_class_weight_by_hand():
-    target = torch.tensor([[[0, 1]]])
-    logits = torch.zeros(1, 3, 1, 2)
-    logits[0, :, 0, 1] = torch.tensor([0.0, 2.0, 0.0])  # only the second pixel has an opinion
-    ce = torch.tensor([np.log(3.0), -np.log(np.e**2 / (np.e**2 + 2))], dtype=torch.float32)
-    out = {"logits": logits, "side": [], "boundary": torch.zeros(1, 1, 1, 2)}
-    weighted = region_loss(out, target, torch.tensor([1.0, 4.0, 1.0]))["ce"]
-    assert float(weighted) == pytest.approx(float((ce[0] + 4 * ce[1]) / 5), rel=1e-5)
-
-
-def test_unknown_pixels_are_not_scored():
-    torch.manual_seed(0)
-    target = torch.randint(0, 3, (1, 12, 12))
-    target[:, :4] = IGNORE
-    out = {"logits": torch.randn(1, 3, 12, 12, requires_grad=True), "side": [], "boundary": torch.zeros(1, 1, 12, 12)}
-    region_loss(out, target)["total"].backward()
-    assert (out["logits"].grad[:, :, :4] == 0).all() and (out["logits"].grad[:, :, 4:] != 0).any()
-
-
-def test_a_step_of_training_reaches_every_parameter_and_learns():
-    torch.manual_seed(0)
-    net = RegionNet(TINY)
-    rgb, depth, valid = frame()
-    target = torch.zeros(2, 32, 48, dtype=torch.int64)
-    target[:, 8:20, 10:30] = 2
-    rgb[:, 0, 8:20, 10:30] = 1.0
-    optimiser = torch.optim.Adam(net.parameters(), 3e-3)
-    totals = []
-    for _ in range(25):
-        losses = region_loss(net(rgb, depth, valid), target, torch.tensor([1.0, 2.0, 2.0]))
-        optimiser.zero_grad()
-        losses["total"].backward()
-        assert all(p.grad is not None for p in net.parameters())
-        optimiser.step()
-        totals.append(losses["total"].item())
-    assert totals[-1] < 0.5 * totals[0]
-
-
-def test_class_boundary_by_hand():
-    classes = torch.zeros(1, 5, 6, dtype=torch.int64)
-    classes[:, :, 3:] = 1
-    assert class_boundary(classes)[0].sum(0).tolist() == [0, 0, 5, 5, 0, 0]
-
-
 # ---- refinement (S2)
 
 
@@ -232,7 +167,6 @@ def test_bad_kernels_are_refused(bad):
         lambda: RegionNet(RegionConfig(levels=1)),
         lambda: RegionNet(TINY)(torch.zeros(1, 3, 8, 8), torch.zeros(1, 1, 8, 9), torch.zeros(1, 1, 8, 8)),
         lambda: RegionNet(TINY)(torch.zeros(3, 8, 8), torch.zeros(1, 8, 8), torch.zeros(1, 8, 8)),
-        lambda: region_loss(perfect(torch.zeros(1, 4, 4, dtype=torch.int64)), torch.zeros(1, 4, 5, dtype=torch.int64)),
     ],
 )
 def test_bad_input_is_refused(call):

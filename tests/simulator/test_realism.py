@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from ditr_lite.data import Sample
-from ditr_lite.simulator.realism import STATISTICS, compare, frame_statistics
+from ditr_lite.simulator.realism import STATISTICS, compare_with_real, frame_statistics
 
 
 def frame(bias=0.03, name="frame", missing=2):
@@ -56,7 +56,7 @@ def test_a_frame_without_truth_or_region_is_refused():
 
 def test_table_says_which_real_frames_lie_inside_the_spread():
     simulated = [frame(bias) for bias in np.linspace(0.01, 0.05, 21)]
-    table = compare(simulated, [frame(0.03, "in"), frame(0.2, "out")])
+    table = compare_with_real(simulated, [frame(0.03, "in"), frame(0.2, "out")])
     lines = {line.split()[0]: line for line in table.splitlines()}
     assert lines["bias_inside_m"].endswith("yes NO") and lines["region_share"].endswith("yes yes")
     numbers = [float(x) for x in lines["bias_inside_m"].split()[1:6]]
@@ -64,5 +64,5 @@ def test_table_says_which_real_frames_lie_inside_the_spread():
 
 
 def test_table_without_real_frames_shows_the_spread_alone():
-    table = compare([frame(), frame(0.05)], [])
+    table = compare_with_real([frame(), frame(0.05)], [])
     assert len(table.splitlines()) == 1 + len(STATISTICS)

@@ -6,7 +6,7 @@ import pytest
 
 from ditr_lite.camera import Camera
 from ditr_lite.data import OPAQUE
-from ditr_lite.simulator.render import load, mitsuba, render, triangles, truth
+from ditr_lite.simulator.render import build_scene, mitsuba, render, triangles, truth
 from ditr_lite.simulator.scenes import PRISMS, VESSELS, Scene, Thing, look_at, random_scene
 
 SOLIDS = [*VESSELS, *PRISMS, "sphere", "ellipsoid", "box", "slab", "plate_mirror"]
@@ -88,7 +88,7 @@ def box():
     pose[2, 3] = 0.04
     red = {**MATT, "texture": "plain", "colours": np.array([[0.8, 0.05, 0.05]] * 2)}
     scene = staged([Thing("box", OPAQUE, np.full(3, 0.04), pose, red)])
-    return scene, load(scene)
+    return scene, build_scene(scene)
 
 
 def test_truth_is_the_first_surface_along_each_ray(box):
@@ -139,14 +139,15 @@ def test_lamps_and_shapes_are_always_loaded_in_the_same_order():
     pytest.importorskip("mitsuba")
     scene = random_scene(4, "test")
     assert len(scene.lights) == 2  # whose order decides which one a random number picks
-    orders = {tuple(shape.id() for shape in load(scene).shapes()) for _ in range(6)}
+    orders = {tuple(shape.id() for shape in build_scene(scene).shapes()) for _ in range(6)}
     assert len(orders) == 1
 
 
 def test_projected_dots_light_the_scene_in_infrared(box):
     scene, _ = box
-    lit = load(scene, scene.camera_pose, np.random.default_rng(0))
+    lit = build_scene(scene, scene.camera_pose, np.random.default_rng(0))
     grey = render(lit, CAMERA, scene.camera_pose, 4, 0).mean(axis=2)
-    dark = load(scene, scene.camera_pose @ np.diag([1.0, -1, -1, 1]), np.random.default_rng(0))  # projected backwards
+    backwards = scene.camera_pose @ np.diag([1.0, -1, -1, 1])  # away from the scene
+    dark = build_scene(scene, backwards, np.random.default_rng(0))
     plain = render(dark, CAMERA, scene.camera_pose, 4, 0).mean(axis=2)
     assert grey.std() / grey.mean() > 2 * plain.std() / plain.mean()

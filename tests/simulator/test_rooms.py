@@ -94,7 +94,7 @@ def test_a_liquid_touches_no_wall_and_a_sleeve_hugs_the_body():
         form = forms.vessel(np.random.default_rng(2), family, wall=0.03)
         inside = forms.liquid(form, 0.6)["points"][1:-1]
         assert (inside[:, 0] <= np.maximum(forms.radius_at(form, inside[:, 1]) - 0.03, 0.005)).all()
-        sleeve = forms.label(form, 0.2, 0.4)["points"]
+        sleeve = forms.sleeve(form, 0.2, 0.4)["points"]
         gap = sleeve[:, 0] - forms.radius_at(form, sleeve[:, 1])
         assert (gap > 0).all() and (gap < 0.02).all()
 

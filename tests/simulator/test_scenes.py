@@ -11,7 +11,7 @@ from ditr_lite.simulator.scenes import (
     cross_section,
     half_extent,
     look_at,
-    outline,
+    profile,
     random_scene,
 )
 
@@ -116,7 +116,7 @@ def test_half_extent_is_that_of_the_mesh(family):
 
 @pytest.mark.parametrize("family", [*VESSELS, "sphere"])
 def test_outline_starts_on_the_axis_and_never_crosses_it(family):
-    points = outline(family)
+    points = profile(family)
     assert abs(points[0, 0]) < 1e-9 and (points[:, 0] >= -1e-9).all()
     assert np.isclose(points[0, 1], -points[-1, 1])  # centred on height 0
 

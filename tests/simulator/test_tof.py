@@ -29,7 +29,7 @@ def scene_of(*things):
 
 def follow(scene, direction=(0.0, 0.0, -1.0)):
     pytest.importorskip("mitsuba")
-    loaded = tof.load(scene, DOWN, np.random.default_rng(0), slide=np.ones((8, 8)))
+    loaded = tof.build_scene(scene, DOWN, np.random.default_rng(0), slide=np.ones((8, 8)))
     direction = np.array(direction) / np.linalg.norm(direction)
     return tof.follow(loaded, scene, np.array([0.0, 0.0, 0.6]), direction)
 
@@ -109,10 +109,10 @@ def test_a_corner_reads_too_far_most_at_its_edge():
 def test_a_matt_table_is_read_as_it_is_and_dim_light_is_not_read():
     pytest.importorskip("mitsuba")
     quiet = tof.TimeOfFlight(noise_m=0.0)
-    z, dropped, truth = tof.measure(scene_of(), CAMERA, DOWN, quiet, 4, 0)
+    z, dropped, truth = tof.measure_flight(scene_of(), CAMERA, DOWN, quiet, 4, 0)
     assert (z > 0).mean() > 0.95 and np.median(np.abs(z - truth)) < 0.001 and not dropped.any()
-    assert not tof.measure(scene_of(), CAMERA, DOWN, tof.TimeOfFlight(floor=1e3), 4, 0)[0].any()
-    again = tof.measure(scene_of(), CAMERA, DOWN, quiet, 4, 0)
+    assert not tof.measure_flight(scene_of(), CAMERA, DOWN, tof.TimeOfFlight(floor=1e3), 4, 0)[0].any()
+    again = tof.measure_flight(scene_of(), CAMERA, DOWN, quiet, 4, 0)
     assert np.array_equal(z, again[0])
 
 
@@ -121,6 +121,6 @@ def test_glass_over_a_table_reads_the_table_and_the_delay():
     glass = {"type": "glass", "ior": 1.5, "tint": np.ones(3), "infrared": 1.0}
     tilted = plate(TRANSPARENT, glass, height=0.25)
     tilted.pose[:3, :3] = np.array([[1, 0, 0], [0, 0.966, -0.259], [0, 0.259, 0.966]])  # no glint from the lamp
-    z, _, truth = tof.measure(scene_of(tilted), CAMERA, DOWN, tof.TimeOfFlight(noise_m=0.0), 4, 0)
+    z, _, truth = tof.measure_flight(scene_of(tilted), CAMERA, DOWN, tof.TimeOfFlight(noise_m=0.0), 4, 0)
     middle = np.s_[21:27, 28:36]
     assert (truth[middle] < 0.45).all() and np.median(z[middle]) == pytest.approx(0.61, abs=0.004)

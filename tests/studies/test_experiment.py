@@ -13,7 +13,7 @@ from ditr_lite.config import preset
 from ditr_lite.data import SAMPLES
 from ditr_lite.store import load_part, read_card
 from ditr_lite.studies import experiment
-from ditr_lite.studies.experiment import QUICK, TOUCHES, compare, format_comparison, touched
+from ditr_lite.studies.experiment import QUICK, TOUCHES, compare_settings, format_comparison, touched
 from ditr_lite.training.parts import PARTS
 
 TINY = preset("tiny")
@@ -21,7 +21,7 @@ SHORT = {"steps": 1, "limit": 2, "frames": 2}
 
 
 def run(folder, settings, **others):
-    return compare(settings, folder=folder, **{**SHORT, **others})
+    return compare_settings(settings, folder=folder, **{**SHORT, **others})
 
 
 @pytest.fixture(scope="module")
@@ -211,5 +211,5 @@ def test_what_cannot_be_built_is_refused_before_anything_is_trained(tmp_path, se
 
 def test_nothing_to_score_on_is_said_before_anything_is_trained(tmp_path):
     with pytest.raises(ValueError, match="no scenes in"):
-        compare({"unet.heads": 1}, val=tmp_path, folder=tmp_path / "weights")
+        compare_settings({"unet.heads": 1}, val=tmp_path, folder=tmp_path / "weights")
     assert not (tmp_path / "weights").exists()

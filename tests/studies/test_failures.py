@@ -84,7 +84,7 @@ def test_the_worst_come_first():
     [((0.3, 0.1, 0.5), "grow"), ((-0.3, -0.5, -0.1), "shrink"), ((0.1, -0.1, 0.3), "no meas"), (None, "cannot")],
 )
 def test_the_verdict_follows_the_interval(rho, words):
-    assert words in failures.verdict("overlap", rho)
+    assert words in failures.correlation_verdict("overlap", rho)
 
 
 def test_ranges_leave_out_what_was_not_measured():

@@ -86,7 +86,7 @@ def test_noise_and_levels_are_as_strong_as_asked():
     noisy = robustness.colour_noise(SCENE, 15).rgb.astype(int) - SCENE.rgb
     middle = (SCENE.rgb > 60) & (SCENE.rgb < 190)
     assert noisy[middle].std() == pytest.approx(15, rel=0.05)
-    coarse = robustness.levels(SCENE, 16).depth
+    coarse = robustness.rounded(SCENE, 16).depth
     assert len(np.unique(coarse[read])) <= 16 and not coarse[~read].any()
     step = (SCENE.depth[read].max() - SCENE.depth[read].min()) / 15
     assert np.abs(coarse - SCENE.depth)[read].max() <= step / 2 + 1e-6
@@ -112,8 +112,8 @@ def test_run_reports_every_strength_and_repeats_itself(tiny):
     few = {
         name: (*CONDITIONS[name][:1], CONDITIONS[name][1][:2], *CONDITIONS[name][2:]) for name in ("missing", "aspect")
     }
-    first = robustness.run(tiny, [SCENE], few, progress=False)
-    assert first == robustness.run(tiny, [SCENE], few, progress=False)
+    first = robustness.score_conditions(tiny, [SCENE], few, progress=False)
+    assert first == robustness.score_conditions(tiny, [SCENE], few, progress=False)
     rows = first["missing"]["rows"]
     assert [row["strength"] for row in rows] == [0.0, 0.3] and all(row["finite"] for row in rows)
     assert rows[0]["ditr"]["optical"] > 0 and set(rows[0]) == {"strength", "finite", "ditr", "keep_and_fill"}
@@ -163,9 +163,9 @@ def test_strays_are_as_many_and_as_far_as_they_say_and_outside_the_region(distur
 def test_turning_four_times_gives_the_frame_back():
     frame = SCENE
     for _ in range(4):
-        frame = robustness.turned(frame, 1).frame
+        frame = robustness.quarter_turns(frame, 1).frame
     assert np.array_equal(frame.depth, SCENE.depth) and np.array_equal(frame.rgb, SCENE.rgb)
-    assert robustness.turned(SCENE, 1).frame.depth.shape == SCENE.depth.shape[::-1]
+    assert robustness.quarter_turns(SCENE, 1).frame.depth.shape == SCENE.depth.shape[::-1]
 
 
 def test_sparse_frames_hold_few_true_readings(disturbed):

@@ -126,7 +126,7 @@ def test_a_region_can_be_handed_over(tiny, frame):
 
 def test_nothing_of_the_system_itself_is_changed(tiny, frame):
     before = vars(tiny).copy()
-    swaps.run(tiny, [frame], draws=1, progress=False)
+    swaps.score_swaps(tiny, [frame], draws=1, progress=False)
     assert vars(tiny) == before
 
 
@@ -143,7 +143,7 @@ def scores(*optical):
 def test_differences_are_paired_and_signed():
     rows = {"default": scores(0.02, 0.20), "no guide": scores(0.03, 0.21)}
     rows |= {"true region": scores(0.01, 0.10), "true, no evidence": scores(0.02, 0.11)}
-    report = swaps.summary(rows)
+    report = swaps.summarise_swaps(rows)
     assert report["no guide"]["optical"]["minus_m"] == [0.01, 0.01, 0.01]  # the frames differ by far more
     assert report["true, no evidence"]["whole"]["minus_m"] == [0.01, 0.01, 0.01]
     assert report["true, no evidence"]["against"] == "true region" and report["default"]["against"] is None

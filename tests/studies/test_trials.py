@@ -70,7 +70,7 @@ def fake(rmse):
 
 @pytest.fixture
 def rows(monkeypatch):
-    monkeypatch.setattr(trials, "compare", fake({"default": [10, 11], "1": [20, 22], "4": [10.5, 10.5]}))
+    monkeypatch.setattr(trials, "compare_settings", fake({"default": [10, 11], "1": [20, 22], "4": [10.5, 10.5]}))
     saved = []
     found = trials.try_settings(
         {"one head": {"unet.heads": "1"}, "four heads": {"unet.heads": "4"}}, save=lambda r: saved.append(1)

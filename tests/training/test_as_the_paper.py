@@ -10,10 +10,10 @@ import torch.nn.functional as F
 from made_scenes import make_scenes
 
 from ditr_lite import diffusion
-from ditr_lite.autoencoder import VQAutoencoder, autoencoder_loss
+from ditr_lite.autoencoder import VQAutoencoder
 from ditr_lite.conditioning import CHANNELS
 from ditr_lite.config import preset
-from ditr_lite.region import RegionNet, region_loss
+from ditr_lite.region import RegionNet
 from ditr_lite.schedule import make_schedule
 from ditr_lite.training.as_the_paper import (
     BASE_RATE,
@@ -24,13 +24,14 @@ from ditr_lite.training.as_the_paper import (
     MOMENTUM,
     PEAK,
     WEIGHT_DECAY,
-    descend,
     paper_learning_rate,
+    paper_recipe,
     scaled_rate,
-    sgd,
     train_region,
     trosnet_learning_rate,
 )
+from ditr_lite.training.loop import learning_rate, optimiser_of
+from ditr_lite.training.losses import autoencoder_loss, region_loss
 from ditr_lite.unet import DenoisingUNet
 
 
@@ -77,22 +78,24 @@ def test_trosnet_rate_is_a_line_plus_a_sine_of_period_228():
     assert trosnet_learning_rate(40, 10) == pytest.approx(trosnet_learning_rate(40, 238))
 
 
-def test_optimiser_is_the_papers_and_leaves_frozen_weights_out():
+def test_optimiser_is_the_papers():
+    recipe = paper_recipe("region", scenes=33)
     model = net()
-    model.encoder_rgb.requires_grad_(False)
-    group = sgd(model).param_groups[0]
+    group = optimiser_of(recipe, list(model.parameters())).param_groups[0]
     assert (group["momentum"], group["weight_decay"], group["nesterov"]) == (0.9, 1e-4, False)
-    assert len(group["params"]) == sum(p.requires_grad for p in model.parameters()) < len(list(model.parameters()))
+    assert (recipe.batch, recipe.epoch, recipe.steps, recipe.clip) == (16, 3, 600, 0)  # S3
+    for epoch in (0, 1, 77, 199):
+        assert learning_rate(3 * epoch + 2, recipe) == pytest.approx(paper_learning_rate(epoch))
 
 
-def test_a_step_is_the_textbook_step():
-    x = torch.nn.Parameter(torch.tensor([2.0]))
-    optimiser = torch.optim.SGD([x], lr=99.0, momentum=0.9, weight_decay=0.1)
-    descend(optimiser, (x**2).sum(), 0.01)  # gradient 4 + 0.1 * 2
-    assert x.item() == pytest.approx(2 - 0.01 * 4.2)
-    v, before = 0.9 * 4.2 + 2.1 * x.item(), x.item()
-    descend(optimiser, (x**2).sum(), 0.001)
-    assert x.item() == pytest.approx(before - 0.001 * v)
+def test_stage_two_has_the_papers_batch_and_rate():
+    for branch in ("optical", "geometric"):
+        recipe = paper_recipe(branch, scenes=65, epochs=10)
+        assert (recipe.batch, recipe.lr, recipe.steps, learning_rate(19, recipe)) == (64, 1e-6, 20, 1e-6)  # S6
+    with pytest.raises(ValueError, match="the paper trains no 'detail'"):
+        paper_recipe("detail", 10)
+    with pytest.raises(ValueError, match="at least 1"):
+        paper_recipe("region", 0)
 
 
 def test_training_learns_follows_the_law_and_repeats(scenes):

@@ -9,10 +9,11 @@ from ditr_lite.training.batches import (
     batch_of,
     draw_frames,
     draw_windows,
+    epoch_frames,
     frames_in_order,
-    frames_shuffled,
     windows_in_order,
 )
+from ditr_lite.training.loop import Share
 from ditr_lite.training.scenes import Pool
 from ditr_lite.training.views import View, frame_view
 
@@ -109,7 +110,7 @@ def test_in_order_means_once_and_as_they_are(scenes):
 
 def test_shuffled_means_once_in_an_order_of_its_own(scenes):
     def order(seed):
-        middles = torch.cat([b.bounds.low.flatten() for b in frames_shuffled(many, SIZE, 3, rng(seed))])
+        middles = torch.cat([epoch_frames(many, SIZE, 3, step, seed).bounds.low.flatten() for step in (0, 1)])
         return [int(m * 10 + 0.5) for m in middles]
 
     depth = np.stack([np.full(SIZE, 1000 * 2**k, np.uint16) for k in range(5)])  # told apart by their distance
@@ -117,7 +118,19 @@ def test_shuffled_means_once_in_an_order_of_its_own(scenes):
     many = type(many)(many.names, many.rgb, depth, depth, many.material, many.instances)
     assert sorted(order(0)) == sorted(order(1)) and len(set(order(0))) == 5
     assert order(0) == order(0) and any(order(s) != order(0) for s in range(1, 5))
-    assert [len(b.rgb) for b in frames_shuffled(many, SIZE, 3, rng())] == [3, 2]
+    assert [len(epoch_frames(many, SIZE, 3, step, 0).rgb) for step in range(4)] == [3, 2, 3, 2]
+    shares = [epoch_frames(many, SIZE, 4, 1, 0, share=Share(k, 2)) for k in (0, 1)]  # filled up to be divided
+    assert [len(b.rgb) for b in shares] == [2, 2]
+
+
+def test_shares_of_a_batch_are_the_batch(scenes):
+    pool = Pool([scenes])
+    for draw in (draw_frames, draw_windows):
+        size = SIZE if draw is draw_frames else 32
+        whole = draw(pool, 4, size, rng())
+        halves = [draw(pool, 4, size, rng(), share=Share(k, 2)) for k in (0, 1)]
+        assert torch.equal(torch.cat([h.rgb for h in halves]), whole.rgb)
+        assert torch.equal(torch.cat([h.depth_n for h in halves]), whole.depth_n)
 
 
 def test_windows_in_order_are_of_scenes_with_glass_and_always_the_same(scenes):

@@ -106,6 +106,16 @@ def test_no_legend_lies_on_the_picture_that_it_explains(sample):
         assert 0 <= box.y0 and box.y1 <= picture.y0 + 1  # inside the figure, below the picture
 
 
+def test_numbers_without_a_unit_are_drawn_as_they_are(ax):
+    values = np.linspace(-0.5, 1.5, 12).reshape(3, 4)
+    drawn = viz.heat(ax, values, "belief", (0, 1))
+    np.testing.assert_array_equal(drawn.get_array(), values)
+    assert drawn.get_clim() == (0, 1) and ax.get_title() == "belief" and len(ax.figure.axes) == 2
+    assert viz.heat(ax, values, bar=False).get_clim() == (-0.5, 1.5) and len(ax.figure.axes) == 2
+    with pytest.raises(ValueError, match=r"should be \(H, W\), got \(2, 3, 4\)"):
+        viz.heat(ax, np.zeros((2, 3, 4)))
+
+
 def test_labels_count_what_occurs(ax):
     codes = np.zeros(SHAPE, np.uint8)
     codes[0, :5], codes[1, :3] = 2, 255
@@ -166,7 +176,7 @@ def test_pictures_are_small_and_speak_for_themselves_in_a_notebook(sample):
     assert len(bundle["image/png"]) < 80_000
     assert bundle["text/plain"].startswith("<Picture: test_0001; raw, 24 px missing; method 0")
     image = cv2.imdecode(np.frombuffer(figure.png(), np.uint8), cv2.IMREAD_COLOR)
-    assert image.shape[1] == 960 and 150 < image.shape[0] < 700
+    assert image.shape[1] == int(panels.WIDTH_IN * panels.DPI) and 150 < image.shape[0] < 700
 
 
 def test_a_notebook_shows_the_small_picture_even_with_the_inline_backend(sample, monkeypatch):
@@ -272,7 +282,9 @@ def test_no_other_module_draws():
     package = Path(viz.__file__).parents[1]
     imports = re.compile(r"^\s*(import|from) matplotlib", re.MULTILINE)
     drawing = [p for p in package.rglob("*.py") if imports.search(p.read_text(encoding="utf-8"))]
-    assert {p.relative_to(package).as_posix() for p in drawing} == {"viz/grids.py", "viz/panels.py", "viz/studies.py"}
+    assert {p.relative_to(package).as_posix() for p in drawing} == {
+        *("viz/drawings.py", "viz/grids.py", "viz/panels.py", "viz/studies.py")
+    }
 
 
 @pytest.mark.parametrize("width", [480, 700])

@@ -1,0 +1,233 @@
+"""Frames of real datasets as scenes to train on: any reader of ``datasets``, with the protocol of the paper.
+
+Paper: Sec. V-C. A frame teaches a part only where its truth is known: the optical branch inside the region, the
+geometric one in holes outside it; a frame that teaches a part nothing is left out for that part. The paper also sets
+the readings inside the region to zero; that is ``zero_region`` (where the preset shows no evidence, the branches never
+see them anyway).
+
+Frames are decoded once and kept as memory-mapped arrays, at most twice the working size, so that a hundred thousand of
+them need no memory and any number of workers share them. The kept arrays are known by the dataset's frames, the sizes
+and times of their files, and the settings: when one changes they are made again.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm.auto import tqdm
+
+from ..conditioning import fit_frame
+from ..config import Config
+from ..data import Sample
+from ..datasets import REGISTRY, FrameFolder, teachable
+from ..files import folder_written_whole
+from ..region import IGNORE
+from .loop import is_first, wait_for_all
+from .scenes import MAPS, Pool, Scenes
+
+CACHE = Path("outputs/cache")
+FARTHEST_MM = 65_535  # of 16 bits; what is farther counts as not read
+TEACH = ("region", "truth", "optical", "geometric")  # what a frame may have, one column each
+WANTED = {"region": "region", "autoencoder": "truth", "optical": "optical", "geometric": "geometric", "detail": "truth"}
+
+
+@dataclass(frozen=True)
+class RealFrames:
+    """Frames of a dataset to train on, and how they are mixed with rendered scenes.
+
+    Attributes:
+        name: of the reader, a key of ``datasets.REGISTRY``.
+        root: folder of the dataset.
+        split: to train on; None takes all.
+        val_split: to validate on besides the rendered scenes; None for none.
+        scene_share: of the draws that come from rendered scenes, 0 to 1.
+        zero_region: set the readings inside the region to zero (Paper: Sec. V-C).
+        limit: use only the first frames.
+        cache: folder for the decoded frames.
+
+    Raises:
+        ValueError: for an unknown reader, or a share that is none.
+    """
+
+    name: str
+    root: Path
+    split: str | None = None
+    val_split: str | None = None
+    scene_share: float = 0.0
+    zero_region: bool = False
+    limit: int | None = None
+    cache: Path = CACHE
+
+    def __post_init__(self) -> None:
+        if self.name not in REGISTRY:
+            raise ValueError(f"unknown dataset {self.name!r}; choose one of {', '.join(REGISTRY)}")
+        if not 0 <= self.scene_share <= 1:
+            raise ValueError(f"expected a share of rendered scenes from 0 to 1, got {self.scene_share}")
+
+    def pool(self, part: str, config: Config, rendered: Sequence[Scenes]) -> Pool:
+        """Return what ``part`` draws from: these frames and rendered scenes, at the stated share."""
+        real = self.scenes(part, config, self.split)
+        if self.scene_share and not rendered:
+            raise ValueError(f"a share of {self.scene_share} of rendered scenes needs some: give --data")
+        rendered = list(rendered) if self.scene_share else []
+        shares = []
+        for groups, share in ((real, 1 - self.scene_share), (rendered, self.scene_share)):
+            count = sum(len(group) for group in groups)
+            shares += [share * len(group) / count for group in groups]
+        return Pool([*real, *rendered], shares)
+
+    def held_out(self, part: str, config: Config) -> dict[str, Scenes]:
+        """Return name -> frames to validate on, none where there is no split for it."""
+        if self.val_split is None:
+            return {}
+        groups = self.scenes(part, config, self.val_split)
+        return {f"{self.name}_{self.val_split}{k or ''}": group for k, group in enumerate(groups)}
+
+    def scenes(self, part: str, config: Config, split: str | None) -> list[Scenes]:
+        """Return the frames of a split that can teach ``part``, a group for each size of frame.
+
+        Raises:
+            ValueError: where none can.
+        """
+        reader = REGISTRY[self.name](self.root, split)
+        groups = [_rows_for(part, group) for group in kept(reader, self, config.size)]
+        if not (groups := [group for group in groups if len(group)]):
+            raise ValueError(
+                f"no frame of {self.name} in {self.root} teaches {part!r}: it needs {_needed(part)}; "
+                f"{type(reader).__name__}: {reader.protocol or 'see its reader'}"
+            )
+        return groups
+
+
+def _needed(part: str) -> str:
+    told = {
+        "region": "a region",
+        "truth": "ground-truth depth and a region",
+        "optical": "ground-truth depth inside the region",
+        "geometric": "holes outside the region where the ground truth is known",
+    }
+    return told[WANTED[part]]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Decoded frames of one size: arrays (N, H, W, ...) on disk, and what each frame can teach, (N, 4) bool."""
+
+    names: list[str]
+    arrays: dict[str, np.ndarray]
+    teach: np.ndarray
+    key: str
+
+
+class Rows:
+    """Some rows of an array that is not in memory."""
+
+    def __init__(self, array: np.ndarray, index: np.ndarray):
+        self.array, self.index = array, index
+        self.shape, self.dtype = (len(index), *array.shape[1:]), array.dtype
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.index)
+
+    def __getitem__(self, i: int | slice) -> Any:
+        """Return one row, or the rows of a slice as :class:`Rows`."""
+        if isinstance(i, slice):
+            return Rows(self.array, self.index[i])
+        return np.asarray(self.array[self.index[i]])
+
+
+def _rows_for(part: str, group: Kept) -> Scenes:
+    index = np.flatnonzero(group.teach[:, TEACH.index(WANTED[part])])
+    rows = {name: Rows(group.arrays[name], index) for name in MAPS}
+    return Scenes([group.names[i] for i in index], **rows, key=f"{group.key} {part}")
+
+
+def kept(reader: FrameFolder, how: RealFrames, size: tuple[int, int]) -> list[Kept]:
+    """Return the decoded frames of a reader, from the cache or put there now by the first process.
+
+    Args:
+        reader: of a split.
+        how: name, limit and whether readings inside the region are zeroed.
+        size: (H, W) of the system.
+    """
+    names = reader.names[: how.limit]
+    stats = [_stat(reader, name) for name in names]
+    plain = json.dumps([how.name, names, stats, how.zero_region, size])
+    key = hashlib.sha256(plain.encode()).hexdigest()[:16]
+    folder = Path(how.cache) / f"{how.name}-{key}"
+    if not (folder / "frames.json").is_file() and is_first():
+        _decode(reader, names, how, size, folder)
+    wait_for_all()
+    groups = []
+    for k, group in enumerate(json.loads((folder / "frames.json").read_text())):
+        arrays = {name: np.load(folder / f"{k}_{name}.npy", mmap_mode="r") for name in MAPS}
+        groups.append(
+            Kept(group["names"], arrays, np.array(group["teach"], bool).reshape(-1, len(TEACH)), f"{key} {k}")
+        )
+    return groups
+
+
+def _stat(reader: FrameFolder, name: str) -> list[int]:
+    """Return size and time of a frame's file of raw depth."""
+    path = Path(f"{reader.root / name}{reader.suffix}")
+    found = path.stat() if path.is_file() else None
+    return [found.st_size, found.st_mtime_ns] if found else []
+
+
+def _decode(reader: FrameFolder, names: list[str], how: RealFrames, size: tuple[int, int], folder: Path) -> None:
+    """Decode frames and write them, a group of arrays for each size."""
+    by_shape: dict[tuple[int, int], list[str]] = {}
+    for name in tqdm(names, "sizes", unit="frame", leave=False):
+        by_shape.setdefault(reader[name].depth.shape, []).append(name)
+    described = []
+    with folder_written_whole(folder) as part:
+        for k, (shape, group) in enumerate(by_shape.items()):
+            small = stored_size(shape, size)
+            arrays = {name: _new(part / f"{k}_{name}.npy", name, (len(group), *small)) for name in MAPS}
+            teach = []
+            for i, name in enumerate(tqdm(group, "decoding", unit="frame")):
+                maps, row = _maps(reader[name], small, how.zero_region)
+                teach.append(row)
+                for key, values in maps.items():
+                    arrays[key][i] = values
+            for array in arrays.values():
+                array.flush()
+            described.append({"names": group, "teach": teach})
+        (part / "frames.json").write_text(json.dumps(described))
+
+
+def _new(path: Path, name: str, shape: tuple[int, ...]) -> np.memmap:
+    kind = np.uint16 if name.startswith("depth") else np.uint8
+    return np.lib.format.open_memmap(path, "w+", kind, (*shape, 3) if name == "rgb" else shape)
+
+
+def stored_size(shape: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
+    """Return the size at which a frame is kept: its own, or smaller, but not below twice the working size."""
+    factor = max(1.0, min(shape[0] / (2 * size[0]), shape[1] / (2 * size[1])))
+    return round(shape[0] / factor), round(shape[1] / factor)
+
+
+def _maps(sample: Sample, size: tuple[int, int], zero_region: bool) -> tuple[dict[str, np.ndarray], list[bool]]:
+    """Return the maps of a frame at ``size``, and what it can teach."""
+    blank = np.zeros(sample.depth.shape, np.uint8)
+    depth = sample.depth
+    truth = np.zeros_like(depth) if sample.depth_gt is None else sample.depth_gt
+    can = {name: bool(mask.any()) for name, mask in teachable(sample).items()}
+    has_region = sample.region is not None
+    row = [has_region, has_region and bool((truth > 0).any()), can["optical"], has_region and can["geometric"]]
+    material = np.full_like(blank, IGNORE) if sample.material is None else sample.material
+    instances = blank if sample.instances is None else sample.instances
+    frame = fit_frame(depth.shape, size)
+    maps = {"rgb": sample.rgb, "depth": depth, "depth_gt": truth, "material": material, "instances": instances}
+    maps = {name: image if image.shape[:2] == size else frame.into(image) for name, image in maps.items()}
+    if zero_region and has_region:  # at the size at which it is kept: a smaller map takes readings from next door
+        maps["depth"] = np.where(frame.into(sample.region), np.float32(0), maps["depth"])
+    for name in ("depth", "depth_gt"):
+        millimetres = np.rint(maps[name].astype(np.float64) * 1000)
+        maps[name] = np.where(millimetres <= FARTHEST_MM, millimetres, 0).astype(np.uint16)
+    return maps, row

@@ -1,0 +1,116 @@
+"""``train`` on a dataset and with its cost, fine-tuning, and ``compare``."""
+
+import json
+import re
+from dataclasses import replace
+
+import pytest
+
+from ditr_lite import data, store
+from ditr_lite.cli import main
+
+TINY = ["--preset", "tiny", "--steps", "1", "--batch", "2"]
+
+
+def refused(argv, capsys):
+    assert main(argv) == 2
+    return capsys.readouterr().err.strip().removeprefix("ditr_lite: error: ")
+
+
+@pytest.fixture(scope="module")
+def exported(scenes, tmp_path_factory):
+    """The small scenes in ClearGrasp's layout."""
+    root = tmp_path_factory.mktemp("exported") / "cleargrasp"
+    from ditr_lite.camera import Camera
+    from ditr_lite.datasets.export import export
+
+    samples = [data.read_sample(path) for path in sorted((scenes / "val").iterdir())]
+    camera = Camera(90, 90, 47.5, 31.5, 96, 64)
+    return export("cleargrasp", root, [replace(s, camera=camera) for s in samples])
+
+
+def test_a_dataset_is_trained_on_alone_and_mixed(exported, scenes, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    dataset = ["--dataset", "cleargrasp", "--root", str(exported), "--val", str(scenes / "test")]
+    for name, more in (("alone", []), ("mixed", ["--data", str(scenes / "val"), "--scene-share", "0.25"])):
+        argv = ["train", "--part", "region", *TINY, *dataset, *more, "--out", name, "--work", f"{name}-work"]
+        assert main([*argv, "--workers", "1", "--accumulate", "2"]) == 0
+        entry = store.read_card(name)["parts"]["region"]
+        assert entry["dataset"] == "cleargrasp" and entry["scene_share"] == (0.25 if more else 0.0)
+        assert len(entry["scenes"]) == (2 if more else 1)
+
+
+def test_the_papers_preset_says_what_it_costs_before_it_starts(scenes, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    argv = ["train", "--preset", "paper", "--data", str(scenes / "val"), "--val", str(scenes / "test"), "--cost"]
+    assert main(argv) == 0
+    printed = capsys.readouterr().out
+    assert [line.split()[0] for line in printed.splitlines() if " of the paper preset" in line] == [
+        *("autoencoder", "region", "optical", "geometric")
+    ]
+    assert "region of the paper preset, 200 steps of 16 views of 1280 x 736" in printed  # 3 scenes: a step an epoch
+    assert "optical of the paper preset, 200 steps of 64 views" in printed
+    assert len(re.findall(r"hours +[\d,.]+ \(here", printed)) == 4 and "RTX 3090" in printed
+    assert not (tmp_path / "outputs").exists()
+
+
+def test_a_step_of_the_papers_recipe_runs_at_a_reduced_size(scenes, tmp_path, capsys):
+    small = ["size=64,96", "autoencoder.width=8", "autoencoder.codes=64", "unet.width=8", "unet.cond_channels=8"]
+    argv = ["train", "--preset", "paper", *(word for s in small for word in ("--set", s))]
+    argv += ["--data", str(scenes / "val"), "--val", str(scenes / "test"), "--steps", "1", "--batch", "2"]
+    argv += ["--out", str(tmp_path / "out"), "--work", str(tmp_path / "work")]
+    assert main(argv) == 0
+    parts = store.read_card(tmp_path / "out")["parts"]
+    assert list(parts) == ["autoencoder", "region", "optical", "geometric"]  # the paper has no finer final step
+    sgd = parts["region"]["recipe"]
+    assert (sgd["optimiser"], sgd["momentum"], sgd["weight_decay"], sgd["law"]) == ("sgd", 0.9, 1e-4, "falling")
+    assert parts["optical"]["recipe"]["lr"] == 1e-6 and "GFLOP a view" in capsys.readouterr().out
+
+
+def test_fine_tuning_says_what_it_did_and_needs_a_place_of_its_own(weights, scenes, tmp_path, capsys):
+    argv = ["train", "--part", "region", "--start", str(weights), "--data", str(scenes / "val"), "--steps", "2"]
+    argv += ["--batch", "2", "--val", str(scenes / "test"), "--work", str(tmp_path / "work")]
+    before = (weights / "region.safetensors").read_bytes()
+    assert "--start needs --out" in refused(argv, capsys)
+    assert "which fine-tuning never replaces" in refused([*argv, "--out", str(weights)], capsys)
+    assert main([*argv, "--out", str(tmp_path / "out"), "--scene-share", "0"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"region: error of 2 held-out frames \d\.\d+ before, \d\.\d+ after, difference [+-]\d", printed)
+    assert re.search("fine-tuning (helped|harmed|made no measurable difference); the", printed)
+    assert (weights / "region.safetensors").read_bytes() == before
+    assert set(store.read_card(tmp_path / "out")["parts"]) == set(store.read_card(weights)["parts"])
+    assert "needs frames of your own" in refused([*argv[:5], "--out", str(tmp_path / "x")], capsys)
+
+
+def test_weights_of_another_command_are_not_replaced_unasked(scenes, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    argv = ["train", "--part", "region", *TINY, "--data", str(scenes / "val"), "--val", str(scenes / "test")]
+    assert main(argv) == 0 and main(argv) == 0  # the very same: nothing is left to do
+    assert "by another command" in (reason := refused([*argv, "--seed", "1"], capsys)) and "give --out" in reason
+
+
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        (["--root", "x"], "--root is of --dataset NAME"),
+        (["--dataset", "todd"], "--dataset todd needs --root DIR"),
+        (["--accumulate", "0"], "--accumulate: expected at least 1"),
+        (["--precision", "fp8"], "unknown precision 'fp8'"),
+        (["--scene-share", "2"], "expected a share"),
+    ],
+)
+def test_bad_command_lines_are_named(scenes, tmp_path, more, reason, capsys):
+    argv = ["train", "--part", "region", *TINY, "--data", str(scenes / "val"), "--out", str(tmp_path / "out")]
+    assert reason in refused([*argv, *more], capsys)
+
+
+def test_two_weights_folders_are_compared_on_the_same_frames(weights, scenes, tmp_path, capsys):
+    results = tmp_path / "compared.json"
+    argv = ["compare", str(weights), str(weights), "--root", str(scenes), "--limit", "2", "--json", str(results)]
+    assert main([*argv, "--given-region"]) == 0
+    printed = capsys.readouterr().out
+    assert "B - A" in printed and "+0.0 [+0.0, +0.0]" in printed and "1.000 [1.000, 1.000]" in printed
+    found = json.loads(results.read_text())
+    assert found["rmse_m"]["first"] == found["rmse_m"]["second"] and len(found["frames"]) == 2
+    assert found["weights_sha256"] == found["second_sha256"]
+    assert "no weights in" in refused(["compare", str(weights), str(tmp_path / "none")], capsys)

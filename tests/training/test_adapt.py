@@ -1,0 +1,108 @@
+"""Fine-tuning: it keeps what helps, says when nothing does, and never writes over what it started from."""
+
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from made_scenes import make_scenes
+
+from ditr_lite.config import preset
+from ditr_lite.store import WEIGHTS, load_part, read_card, sha256
+from ditr_lite.training import adapt as module
+from ditr_lite.training.adapt import adapt, check_out, errors_of, hold_out, mixed, split_held_out
+from ditr_lite.training.loop import Recipe
+from ditr_lite.training.parts import PARTS, train_on
+
+TINY = preset("tiny")
+SIZE = (64, 96)
+SHORT = Recipe(steps=2, batch=2, lr=1e-3, warmup=1)
+
+
+@pytest.fixture(scope="module")
+def start(tmp_path_factory):
+    """A tiny system after two steps."""
+    home = tmp_path_factory.mktemp("start")
+    for part in PARTS:
+        train_on(part, TINY, [make_scenes(3, SIZE)], None, home / "weights", home / "work", SHORT)
+    return home / "weights"
+
+
+def own(count=9, seed=5):
+    return make_scenes(count, SIZE, seed)
+
+
+def go(part, start, folder, recipe, held_out=None):
+    pool = mixed([own()], [make_scenes(3, SIZE)], 0.5)
+    return adapt(part, TINY, pool, held_out or own(6, 7), start, folder / "out", folder / "work", recipe)
+
+
+def test_what_helps_is_kept_and_judged_by_frames_that_chose_nothing(start, tmp_path):
+    before = {path.name: sha256(path) for path in start.glob("*.safetensors")}
+    recipe = Recipe(steps=60, batch=4, lr=5e-3, warmup=1, decay=0.8, ramp=False, patience=3, law="constant")
+    notes = go("region", start, tmp_path, recipe)
+    judged = notes["judged"]
+    assert judged["kept"] == "fine-tuned" and np.mean(judged["after"]) < np.mean(judged["before"])
+    assert len(judged["before"]) == 4 and notes["curve"][0]["step"] == 0 and notes["best_step"] > 0
+    assert {path.name: sha256(path) for path in start.glob("*.safetensors")} == before
+    card = read_card(tmp_path / "out")["parts"]
+    assert set(card) == set(PARTS) and card["region"]["start_sha256"] == read_card(start)["parts"]["region"]["sha256"]
+    old, new = (load_part("region", folder) for folder in (start, tmp_path / "out"))
+    assert any(not torch.equal(old[key], new[key]) for key in old)
+
+
+@pytest.mark.parametrize("part", ["optical", "detail"])
+def test_what_does_not_help_leaves_the_start(start, tmp_path, part, monkeypatch):
+    monkeypatch.setattr(module, "model_errors", lambda model, errors, scenes: np.full(len(scenes), 0.5))  # no gain
+    notes = go(part, start, tmp_path, SHORT)
+    assert notes["judged"]["kept"] == "start"
+    for key, value in load_part(part, start).items():
+        assert torch.equal(value, load_part(part, tmp_path / "out")[key])
+
+
+def test_the_weights_to_start_from_and_the_packages_own_are_never_replaced(start, tmp_path):
+    for out, whose in ((start, "the weights to start from"), (WEIGHTS, "the package's own weights")):
+        with pytest.raises(ValueError, match=f"holds {whose}, which fine-tuning never replaces: give --out"):
+            check_out(out, start)
+    with pytest.raises(ValueError, match="cannot fine-tune 'autoencoder': choose one of region"):
+        go("autoencoder", start, tmp_path, SHORT)
+    with pytest.raises(ValueError, match="at least 3 held-out frames, got 2"):
+        go("region", start, tmp_path, SHORT, own(2))
+    assert not (tmp_path / "out").exists()
+
+
+def test_frames_that_choose_frames_that_judge_and_frames_to_learn_from_are_apart():
+    scenes = own(7)
+    chooses, judges = split_held_out(scenes)
+    learns, held_out = hold_out(scenes)
+    for one, other in ((chooses, judges), (learns, held_out)):
+        assert sorted([*one.names, *other.names]) == sorted(scenes.names)
+    assert np.array_equal(judges.depth[0], scenes.depth[1])
+
+
+def test_a_share_of_the_draws_are_scenes_of_the_first_training():
+    pool = mixed([own(4), own(12)], [own(3)], 0.2)
+    assert pool.shares == pytest.approx([0.2, 0.6, 0.2]) and len(mixed([own(4)], [own(3)], 0.0).groups) == 1
+    with pytest.raises(ValueError, match="from 0 to below 1"):
+        mixed([own()], [own()], 1.0)
+
+
+@pytest.mark.parametrize("part", list(module.RECIPES))
+def test_errors_have_a_place_for_every_frame(start, part):
+    from ditr_lite.pipeline import build
+
+    parts = build(TINY).eval()
+    for name in PARTS:
+        parts[name].load_state_dict(load_part(name, start))
+    scenes = own(3)
+    scenes.material[1] = 0
+    scenes.depth[0, -9:, -9:] = 0  # a hole outside the region
+    found = module.model_errors(parts[part], errors_of(part, parts, TINY, "none"), scenes)
+    assert found.shape == (3,) and (part != "optical" or np.isnan(found[1])) and np.isfinite(found[0])
+
+
+def test_a_stopped_fine_tuning_goes_on(start, tmp_path):
+    once = go("region", start, tmp_path / "a", SHORT)
+    shutil.copytree(tmp_path / "a" / "work", tmp_path / "b" / "work")
+    again = go("region", start, tmp_path / "b", SHORT)
+    assert once["judged"] == again["judged"] and once["curve"] == again["curve"]

@@ -1,0 +1,100 @@
+"""Real datasets as training scenes; the files are our own scenes, exported in each dataset's layout."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_scenes import make_scenes
+
+import ditr_lite as dl
+from ditr_lite.config import preset
+from ditr_lite.data import Sample
+from ditr_lite.datasets.export import WRITERS, export
+from ditr_lite.region import IGNORE
+from ditr_lite.training import readers
+from ditr_lite.training.readers import RealFrames, stored_size
+from ditr_lite.training.scenes import MAPS, checksum, load_scenes
+
+TINY = preset("tiny")
+NAMES = dl.list_samples("val")[:3]
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """Three scenes of the validation split in every layout."""
+    root = tmp_path_factory.mktemp("exported")
+    samples = [dl.load_sample(name) for name in NAMES]
+    for name in WRITERS:
+        export(name, root / name, samples)
+    return root
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_reader_is_training_data_for_what_it_can_teach(exported, name, tmp_path):
+    frames = RealFrames(name, exported / name, cache=tmp_path)
+    [group] = frames.scenes("region", TINY, None)
+    assert len(group) == (6 if name == "transcg" else 3)  # two cameras saw each scene
+    assert group.depth.shape[1:] == group.rgb[0].shape[:2] and group.depth[0].dtype == np.uint16
+    for part in ("autoencoder", "optical", "geometric", "detail"):
+        if name == "trosd" or (name, part) == ("cleargrasp_synthetic", "geometric"):  # no truth; no hole outside
+            with pytest.raises(ValueError, match=f"no frame of {name} in .* teaches '{part}': it needs"):
+                frames.scenes(part, TINY, None)
+        else:
+            assert frames.scenes(part, TINY, None)
+
+
+def test_frames_through_a_reader_are_the_scenes(exported, tmp_path):
+    scenes = load_scenes(dl.data.SAMPLES / "val", 3)
+    [group] = RealFrames("folder", exported / "folder", cache=tmp_path).scenes("optical", preset("lite"), None)
+    for name in ("depth", "depth_gt"):
+        assert all(np.array_equal(getattr(group, name)[i], getattr(scenes, name)[i]) for i in range(3))
+    assert all(np.array_equal(group.material[i] > 0, scenes.material[i] > 0) for i in range(3))
+
+
+def test_decoded_frames_are_kept_and_made_again_when_something_changes(exported, tmp_path, monkeypatch):
+    frames, calls = RealFrames("folder", exported / "folder", cache=tmp_path), []
+    real = readers._decode
+    monkeypatch.setattr(readers, "_decode", lambda *a: calls.append(1) or real(*a))
+    keys = []
+    for part in ("optical", "geometric", "optical"):
+        keys.append(checksum(*frames.scenes(part, TINY, None)))
+    assert len(calls) == 1 and keys[0] == keys[2] != keys[1]
+    replace(frames, zero_region=True).scenes("optical", TINY, None)
+    replace(frames, limit=2).scenes("optical", TINY, None)
+    assert len(calls) == 3
+
+
+def test_zeroed_regions_have_no_reading_and_all_else_stays(exported, tmp_path):
+    plain = RealFrames("todd", exported / "todd", cache=tmp_path)
+    [kept] = plain.scenes("optical", TINY, None)
+    [zeroed] = replace(plain, zero_region=True).scenes("optical", TINY, None)
+    region = kept.material[0] > 0
+    assert kept.depth[0][region].any() and not zeroed.depth[0][region].any()
+    assert np.array_equal(kept.depth[0][~region], zeroed.depth[0][~region])
+
+
+def test_the_share_of_rendered_scenes_is_that_of_the_draws(exported, tmp_path):
+    frames = RealFrames("folder", exported / "folder", scene_share=0.75, cache=tmp_path)
+    rendered = [make_scenes(4, (48, 64)), make_scenes(12, (48, 64), 1)]
+    pool = frames.pool("optical", TINY, rendered)
+    assert pool.shares == pytest.approx([0.25, 0.1875, 0.5625])
+    assert replace(frames, scene_share=0.0).pool("optical", TINY, rendered).shares == pytest.approx([1.0])
+    with pytest.raises(ValueError, match="needs some: give --data"):
+        frames.pool("optical", TINY, [])
+    for wrong in ({"scene_share": 1.5}, {"name": "nyu"}):
+        with pytest.raises(ValueError, match="from 0 to 1|unknown dataset 'nyu'; choose one of cleargrasp"):
+            replace(frames, **wrong)
+
+
+def test_large_frames_are_kept_at_twice_the_working_size_and_far_readings_are_missing():
+    assert stored_size((720, 1280), (192, 256)) == (384, 683) and stored_size((240, 320), (192, 256)) == (240, 320)
+    depth = np.full((400, 600), 0.5, np.float32)
+    depth[0, 0], depth[:2, 100:] = 70.0, 0
+    sample = Sample("a", np.zeros((400, 600, 3), np.uint8), depth, depth_gt=depth)
+    maps, can = readers._maps(sample, (200, 300), False)
+    assert maps["rgb"].shape == (200, 300, 3) and maps["depth"].max() == 500 and (maps["material"] == IGNORE).all()
+    assert can == [False, False, False, False]  # nobody said where the glass is
+
+
+def test_kept_frames_cover_what_scenes_have():
+    assert set(MAPS) == {"rgb", "depth", "depth_gt", "material", "instances"}
