@@ -26,7 +26,8 @@ RUN python -m venv /home/learner/venv \
     && pip install --no-compile -r /tmp/wanted.txt "setuptools>=77"
 
 COPY --chown=learner:learner . .
-RUN pip install --no-deps --no-build-isolation -e .
+RUN pip install --no-deps --no-build-isolation -e . \
+    && cp -r tools/labextensions /home/learner/venv/share/jupyter/
 
 EXPOSE 8888
 # 0.0.0.0 is inside the container; who may come in is said by -p. JupyterLab makes a token and prints it.

@@ -27,6 +27,7 @@ NBVAL = [
 ]
 EXECUTE = ["-m", "nbconvert", "--execute", "--ExecutePreprocessor.record_timing=False"]
 EXECUTE += ["--ExecutePreprocessor.timeout=600"]
+EXTENSIONS = ROOT / "tools" / "labextensions"  # JupyterLab's, which pictures owe their alternative text
 NEWS = "@jupyterlab/apputils-extension:announcements"  # would ask the network, and the reader first
 QUIET = {"TQDM_DISABLE": "1"}
 
@@ -55,6 +56,8 @@ def install(requirements):
         slim()
     else:
         python("-m", "pip", "install", "--quiet", "-r", FULL)
+    # `pip install -e` leaves out what pyproject.toml puts there
+    shutil.copytree(EXTENSIONS, VENV / "share" / "jupyter" / "labextensions", dirs_exist_ok=True)
     for old in VENV.glob(f".installed-{Path(requirements).stem}-*"):
         old.unlink()
     stamp(requirements).touch()
@@ -204,7 +207,7 @@ def samples(arguments):
 
 
 def train(arguments):
-    """Train every part from the rendered scenes; replaces the shipped weights unless given --out FOLDER."""
+    """Train every part from the rendered scenes, into outputs/weights/lite or where --out says."""
     install(FULL)
     python("-m", "ditr_lite", "train", "--part", "all", *arguments)
 

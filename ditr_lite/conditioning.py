@@ -98,8 +98,7 @@ def fill(depth_n: Tensor, known: Tensor, rounds: int = 4) -> Tensor:
     """
     if min(depth_n.shape[2:]) <= 1:
         return depth_n * known
-    share = F.avg_pool2d(known, 2, ceil_mode=True, count_include_pad=False)
-    mean = F.avg_pool2d(depth_n * known, 2, ceil_mode=True, count_include_pad=False) / share.clamp(min=1e-6)
+    mean, share = pool(depth_n, known)
     coarse = fill(mean, (share > 0).to(known.dtype), rounds)
     fine = F.interpolate(coarse, size=depth_n.shape[2:], mode="bilinear", align_corners=False)
     filled = torch.where(known > 0, depth_n, fine)
@@ -109,6 +108,18 @@ def fill(depth_n: Tensor, known: Tensor, rounds: int = 4) -> Tensor:
         horizontal = padded[:, :, 1:-1, :-2] + padded[:, :, 1:-1, 2:]
         filled = torch.where(known > 0, depth_n, (vertical + horizontal) / 4)
     return filled
+
+
+def pool(depth_n: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    """Return means of known pixels over blocks of 2x2, and the share of known ones, both (B, 1, H/2, W/2) rounded up.
+
+    Args:
+        depth_n: (B, 1, H, W).
+        known: (B, 1, H, W) 0/1.
+    """
+    share = F.avg_pool2d(known, 2, ceil_mode=True, count_include_pad=False)
+    mean = F.avg_pool2d(depth_n * known, 2, ceil_mode=True, count_include_pad=False)
+    return mean / share.clamp(min=1e-6), share
 
 
 def depth_tensors(depth: np.ndarray, bounds: Bounds) -> tuple[Tensor, Tensor]:

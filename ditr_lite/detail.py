@@ -79,17 +79,14 @@ class DetailNet(nn.Module):
         ``x`` (B, 10, H, W) is as in :meth:`forward`. Of S samples, one batch after the other, residual, blend, trust
         and affinities are shared: the network, the costly part, runs once.
         """
-        samples = len(decoded) // len(x)
         residual, blend, trust, affinities = self.predict(x)
-        filled = x[:, -1:].repeat(samples, 1, 1, 1)
-        blended = torch.lerp(decoded, filled, blend.repeat(samples, 1, 1, 1))
+        filled = x[:, -1:]
         held = (x[:, 2:4] * trust).sum(dim=1, keepdim=True)  # (B, 2, H, W) -> (B, 1, H, W): a pixel is in one of both
-        return propagate(
-            blended + residual.repeat(samples, 1, 1, 1),
-            x[:, 1:2].repeat(samples, 1, 1, 1),
-            held.repeat(samples, 1, 1, 1),
-            [a.repeat(samples, 1, 1, 1) for a in affinities],
-        )
+        finer = []
+        for one in decoded.split(len(x)):  # one sample at a time: each takes the memory of all nine affinities
+            start = torch.lerp(one, filled, blend) + residual
+            finer.append(propagate(start, x[:, 1:2], held, affinities))
+        return torch.cat(finer)
 
     def predict(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, list[Tensor]]:
         """Return residual (B, 1, H, W), blend (B, 1, H, W), trust in readings (B, 2, H, W) and affinities per dilation.

@@ -26,7 +26,7 @@ import OpenEXR
 from PIL import Image
 
 from .camera import Camera, unproject
-from .units import MILLIMETRES, check_metres, check_unit, clean_depth, depth_to_png
+from .units import MILLIMETRES, check_metres, check_unit, clean_depth, depth_to_png, is_clean
 
 DEPTH = (".png", ".tif", ".tiff", ".npy", ".exr")  # suffixes, in any case, that depth is read from and written as
 COLOUR = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".npy")
@@ -44,6 +44,7 @@ LOCK_S = 60.0  # a lock that is older was left behind
 
 NO_READING = 65535  # the largest 16-bit number, which some recorders store for "nothing read", whatever their unit
 MASK_LEVEL = 100  # of 255: masks drawn with soft edges, as ClearGrasp's, are cut here
+JUDGED = 2**20  # pixels, at least, by which swapped bytes are told
 SWAPPED = 30  # times that neighbours of swapped bytes differ more than they do when these are swapped back
 
 SIZES = (("xres", "yres"), ("width", "height"), ("image_width", "image_height"), ("w", "h"))  # of a camera's picture
@@ -256,6 +257,16 @@ def read_depth(path: Path | str, depth_scale: float | None = None, allow_empty: 
         ValueError: for an 8-bit or colour picture, another format, a map that holds no valid reading, one whose
             readings are no metres at this scale, or one with swapped bytes.
     """
+    return read_depth_and_unit(path, depth_scale, allow_empty)[0]
+
+
+def read_depth_and_unit(
+    path: Path | str, depth_scale: float | None = None, allow_empty: bool = False
+) -> tuple[np.ndarray, float]:
+    """Do as :func:`read_depth`, and also return the metres per unit in which whole numbers that came leave again.
+
+    That is the unit in which they came; of floats, millimetres.
+    """
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise ValueError(f"depth_scale should be metres per unit, e.g. 0.001 for millimetres, got {depth_scale!r}")
     raw = read_array(path)
@@ -269,29 +280,31 @@ def read_depth(path: Path | str, depth_scale: float | None = None, allow_empty: 
         )
     if raw.dtype.kind not in "uif":
         raise ValueError(f"{path} should hold integers or floats, got {raw.dtype}")
-    scale = default_scale(raw) if depth_scale is None else depth_scale
-    if raw.dtype.kind in "ui":
+    whole = raw.dtype.kind in "ui"
+    default = MILLIMETRES if whole else 1.0
+    scale = default if depth_scale is None else depth_scale
+    if whole:
         _refuse_swapped(path, raw)
-        # before the scale: at 0.25 mm a unit 65535 would be a believable 16.4 m
-        metres = np.where(raw == NO_READING, 0.0, raw.astype(np.float64) * scale)
-    else:
-        metres = raw if scale == 1 else raw.astype(np.float64) * scale
+    metres = _scaled(raw, scale)
+    del raw
     check_unit(str(path), metres, scale)
-    depth = clean_depth(metres)
+    depth = metres if is_clean(metres) else clean_depth(metres)
     if not allow_empty and not depth.any():
         raise ValueError(f"{path} holds no valid depth: all pixels are 0, negative or not finite")
-    return depth
+    return depth, scale if whole else MILLIMETRES
 
 
-def default_scale(raw: np.ndarray) -> float:
-    """Return the metres per unit that stored depth has when nothing else is said: 0.001 of integers, 1 of floats."""
-    return MILLIMETRES if raw.dtype.kind in "ui" else 1.0
-
-
-def unit_of(path: Path | str, depth_scale: float | None = None) -> float:
-    """Return the metres per unit in which whole numbers that came from ``path`` leave again; millimetres for floats."""
-    whole = read_array(path).dtype.kind in "ui"
-    return depth_scale if whole and depth_scale is not None else MILLIMETRES
+def _scaled(raw: np.ndarray, scale: float) -> np.ndarray:
+    """Return stored depth (H, W) in metres, float32; integers 65535 become 0."""
+    if raw.dtype == np.float32 and scale == 1:
+        return raw
+    metres = np.empty(raw.shape, np.float32)
+    for row, stored in zip(metres, raw, strict=True):  # a row at a time: float64 is twice as large
+        with np.errstate(over="ignore", invalid="ignore"):
+            row[:] = stored.astype(np.float64) * scale
+        if raw.dtype.kind in "ui":  # before the scale: at 0.25 mm a unit 65535 would be a believable 16.4 m
+            row[stored == NO_READING] = 0
+    return metres
 
 
 def one_channel(image: np.ndarray) -> np.ndarray:
@@ -305,10 +318,11 @@ def _refuse_swapped(path: Path | str, raw: np.ndarray) -> None:
     """Refuse 16-bit depth whose two bytes are swapped: neighbours differ wildly, and hardly when swapped back."""
     if raw.dtype.itemsize != 2 or raw.shape[1] < 2:
         return
-    both = (raw[:, 1:] != 0) & (raw[:, :-1] != 0)
+    some = raw[:: 1 + raw.size // JUDGED]  # rows of a large map
+    both = (some[:, 1:] != 0) & (some[:, :-1] != 0)
     if both.sum() < 16:
         return
-    steps = [np.abs(np.diff(a.astype(np.int64), axis=1))[both].mean() for a in (raw, raw.byteswap())]
+    steps = [np.abs(np.diff(a.astype(np.int64), axis=1))[both].mean() for a in (some, some.byteswap())]
     if steps[0] > SWAPPED * max(steps[1], 1):
         raise ValueError(f"{path} holds depth with its two bytes swapped: write it with the other byte order")
 
@@ -488,7 +502,10 @@ def _decoded(kind: str, data: bytes) -> np.ndarray | None:
         return None
     if image is None or (kind == "PPM" and len(data) < image.nbytes):
         return None
-    return image if image.ndim == 2 else np.ascontiguousarray(image[..., [2, 1, 0, 3][: image.shape[2]]])
+    if image.ndim == 3:  # in place: red first
+        code = {3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGBA}[image.shape[2]]
+        cv2.cvtColor(image, code, dst=image)
+    return image
 
 
 def _whole_png(data: bytes) -> bytes:

@@ -3,8 +3,12 @@
 Paper: Sec. IV-A and Fig. 5; Eq. 3, ``D_out = DITR(D_in given X)``.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from numbers import Real
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,13 +26,41 @@ from .schedule import make_schedule
 from .stage_two import BRANCHES, Painter, Plan, Sampler, Views, paint
 from .store import load_parts
 from .unet import DenoisingUNet
-from .units import MAX_SEED, check_count, check_inputs, without_strays
-from .windows import Frame, Window, choose_windows, fit_frame, tie
+from .units import MAX_SEED, check_count, check_inputs, strips, without_strays
+from .windows import Frame, Window, choose_windows, fit_frame, level, tie
+
+
+class OnDemand:
+    """A map of a result: an array, or a call that makes it when it is first asked for.
+
+    Most callers want ``depth`` alone, and of a large frame each map takes hundreds of megabytes.
+    """
+
+    def __init__(self, *default: Any):
+        self.default = default
+
+    def __set_name__(self, owner: type, name: str):
+        self.name = name
+
+    def __get__(self, result: Any, owner: type | None = None) -> Any:
+        if result is None and not self.default:
+            raise AttributeError(self.name)  # for dataclass: there is no default
+        if result is None:
+            return self.default[0]
+        held = result.__dict__[self.name]
+        if callable(held):
+            held = result.__dict__[self.name] = held()
+        return held
+
+    def __set__(self, result: Any, value: Any):
+        result.__dict__[self.name] = value
 
 
 @dataclass(frozen=True)
 class Completion:
     """What :class:`pipeline.Ditr` returns; all maps have the size of the input.
+
+    Depth, region and std are there; the other maps are made when they are first asked for.
 
     Attributes:
         depth: (H, W) float32 metres, dense.
@@ -39,18 +71,21 @@ class Completion:
         optical, geometric: (H, W) float32 metres, each branch's own repainting before composition; the optical branch
             paints its windows only and shows the geometric one's elsewhere.
         windows: where the optical branch looked.
+        classes: (H, W) uint8, what stage one claims before refinement: 0 nothing, else the likelier of the classes
+            ``data.TRANSPARENT`` and ``data.REFLECTIVE``; None for a given region.
     """
 
     depth: np.ndarray
     region: np.ndarray
     std: np.ndarray
-    boundary_rgb: np.ndarray
-    boundary_depth: np.ndarray
-    boundary_da: np.ndarray
-    probability: np.ndarray | None
-    optical: np.ndarray
-    geometric: np.ndarray
+    boundary_rgb: np.ndarray = OnDemand()
+    boundary_depth: np.ndarray = OnDemand()
+    boundary_da: np.ndarray = OnDemand()
+    probability: np.ndarray | None = OnDemand()
+    optical: np.ndarray = OnDemand()
+    geometric: np.ndarray = OnDemand()
     windows: tuple[Window, ...]
+    classes: np.ndarray | None = OnDemand(None)
 
 
 def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, region: np.ndarray) -> np.ndarray:
@@ -65,7 +100,9 @@ def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, regio
         geometric: (H, W) float32 metres, dense.
         region: (H, W) bool.
     """
-    return np.where(region, optical, np.where(depth > 0, depth, geometric)).astype(np.float32)
+    out = np.where(depth > 0, depth, geometric).astype(np.float32, copy=False)
+    np.copyto(out, optical, where=region, casting="same_kind")
+    return out
 
 
 def build(config: Config) -> nn.ModuleDict:
@@ -85,21 +122,124 @@ def build(config: Config) -> nn.ModuleDict:
 
 
 @dataclass(frozen=True)
-class Painting:
-    """What stage two made of a frame, before composition; all maps are (H, W) float32 metres.
+class Layer:
+    """What a branch made of a view, at network size, and where that lies in the frame.
 
     Attributes:
-        optical: painted in windows around the region; what the geometric branch painted elsewhere.
-        geometric: painted over the whole frame; holes at the level of the readings around them.
-        optical_spread, geometric_spread: standard deviation over samples.
-        windows: where the optical branch looked.
+        mean, spread: (h, w) float32 metres, over samples.
+        view: how the view, a window or the frame, lies in (h, w).
+        window: None for the frame.
+        pixels: (H, W) bool, what is painted of the frame in a window.
     """
 
-    optical: np.ndarray
-    geometric: np.ndarray
-    optical_spread: np.ndarray
-    geometric_spread: np.ndarray
-    windows: tuple[Window, ...]
+    mean: np.ndarray
+    spread: np.ndarray
+    view: Frame
+    window: Window | None = None
+    pixels: np.ndarray | None = None
+
+    def onto(self, image: np.ndarray, what: str, region: np.ndarray | None = None) -> None:
+        """Paint ``what``, "mean" or "spread", onto a map (H, W) in place; of a whole frame ``region`` alone, if any."""
+        painted = self.view.back(getattr(self, what))
+        if self.window is None:
+            np.copyto(image, painted, where=True if region is None else region)
+        else:
+            self.window.paste(painted, image, self.pixels)
+
+
+@dataclass(frozen=True)
+class Painting:
+    """What stage two made of a frame, before composition; its maps are made from network size when asked for.
+
+    Attributes:
+        whole: the geometric branch's, of the frame.
+        close: the optical branch's.
+        level: of the readings over the geometric branch's painting, see :func:`conditioning.level`; None without any.
+        holes: (H, W) bool as bits, where there is no reading outside the region.
+        boundaries: M_RGB, M_D and M_DA of the frame, (h, w) bool.
+    """
+
+    whole: Layer
+    close: tuple[Layer, ...]
+    level: Tensor | None
+    holes: np.ndarray
+    boundaries: tuple[np.ndarray, ...]
+
+    @property
+    def windows(self) -> tuple[Window, ...]:
+        """Where the optical branch looked."""
+        return tuple(layer.window for layer in self.close if layer.window is not None)
+
+    @property
+    def geometric(self) -> np.ndarray:
+        """(H, W) float32 metres, painted over the whole frame; holes at the level of the readings around them.
+
+        Readings are not echoed: ``adjust`` asks for the painting.
+        """
+        view = self.whole.view
+        painted = view.back(self.whole.mean)
+        if self.level is not None:
+            tie(painted, self.level, np.unpackbits(self.holes, axis=1, count=view.source[1]).view(bool))
+        return painted
+
+    @property
+    def optical(self) -> np.ndarray:
+        """(H, W) float32 metres, painted in windows around the region; what the geometric branch painted elsewhere."""
+        image = self.geometric
+        for layer in self.close:
+            layer.onto(image, "mean")
+        return image
+
+    @property
+    def geometric_spread(self) -> np.ndarray:
+        """(H, W) float32 metres, standard deviation over samples."""
+        return self.whole.view.back(self.whole.spread)
+
+    @property
+    def optical_spread(self) -> np.ndarray:
+        """(H, W) float32 metres, likewise."""
+        image = self.geometric_spread
+        for layer in self.close:
+            layer.onto(image, "spread")
+        return image
+
+    def compose(self, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
+        """Return what :func:`compose` makes of this, (H, W) float32 metres, with fewer maps in memory at a time."""
+        out = self.geometric
+        for layer in self.close:
+            layer.onto(out, "mean", region)
+        np.copyto(out, depth, where=(depth > 0) & ~region)
+        return out
+
+    def spread(self, region: np.ndarray) -> np.ndarray:
+        """Return (H, W) float32 metres, the spread of the branch that paints each pixel."""
+        out = self.geometric_spread
+        for layer in self.close:
+            layer.onto(out, "spread", region)
+        return out
+
+
+@dataclass(frozen=True)
+class Found:
+    """What stage one says of a frame, at the working size.
+
+    Attributes:
+        frame: how the frame lies in (h, w).
+        probability: (h, w) float32.
+        classes: (h, w) uint8, 0 where nothing is claimed, else the likelier class.
+        region: (h, w) bool, refined.
+    """
+
+    frame: Frame
+    probability: np.ndarray
+    classes: np.ndarray
+    region: np.ndarray
+
+    def class_map(self) -> np.ndarray:
+        """Return the classes at the size of the frame, (H, W) uint8."""
+        codes = range(1, int(self.classes.max(initial=0)) + 1)
+        claims = (np.uint8(code) * self.frame.back(self.classes == code) for code in codes)
+        return sum(claims, np.zeros(self.frame.source, np.uint8))
 
 
 def own_sampler(sampler: Sampler) -> Sampler:
@@ -110,11 +250,25 @@ def own_sampler(sampler: Sampler) -> Sampler:
         if not isinstance(drawn, Tensor) or drawn.shape != shape:
             got = tuple(drawn.shape) if isinstance(drawn, Tensor) else type(drawn).__name__
             raise ValueError(f"sampler: expected a tensor {tuple(shape)} of latents, got {got}")
+        if not drawn.is_floating_point():
+            raise ValueError(f"sampler: expected latents of floating-point numbers, got {drawn.dtype}")
         if not torch.isfinite(drawn).all():
             raise ValueError("sampler: the latents hold NaN or infinity")
-        return drawn
+        return drawn.float()
 
     return call
+
+
+def check_stage_one(threshold: float | None, refine: RefineConfig | None) -> None:
+    """Refuse what cannot be asked of stage one.
+
+    Raises:
+        ValueError: for a threshold that is no probability, or kernels of another kind.
+    """
+    if threshold is not None and not (isinstance(threshold, Real) and 0 < threshold < 1):
+        raise ValueError(f"threshold: expected a probability between 0 and 1, got {threshold!r}")
+    if refine is not None and not isinstance(refine, RefineConfig):
+        raise ValueError(f"refine: expected a config.RefineConfig, got {refine!r}")
 
 
 def _device(name: str | torch.device) -> torch.device:
@@ -226,30 +380,39 @@ class Ditr:
         samples = self.config.sampler.samples if samples is None else samples
         check_count("steps", steps, 1, self.config.schedule.timesteps)
         seed = check_count("seed", seed, 0, MAX_SEED)
-        if threshold is not None and not 0 < threshold < 1:
-            raise ValueError(f"threshold: expected a probability between 0 and 1, got {threshold!r}")
+        check_stage_one(threshold, refine)
         rgb, depth, region = check_inputs(rgb, depth, region, samples)
-        probability = None
+        found = None
         if region is None:
-            probability, region = self.find_region(rgb, depth, threshold, refine)
+            found = self.claim(rgb, depth, threshold, refine)
+            region = found.frame.back(found.region)
         painting = self.inpaint(rgb, depth, region, steps, samples, seed)
-        maps = self.boundaries(rgb, depth)
         kept = np.zeros_like(depth) if adjust else depth
-        doubt = np.zeros_like(depth) if probability is None else probability
-        spread = np.where(region, painting.optical_spread, painting.geometric_spread)
-        mean = compose(kept, painting.optical, painting.geometric, region)
+        mean = painting.compose(kept, region)
+        back = painting.whole.view.back
         return Completion(
             depth=mean,
             region=region,
-            std=expected_error(spread, mean, (kept > 0) & ~region, region, doubt, self.config.std),
-            boundary_rgb=maps[M_RGB],
-            boundary_depth=maps[M_D],
-            boundary_da=maps[M_DA],
-            probability=probability,
-            optical=painting.optical,
-            geometric=painting.geometric,
+            std=self.stated(painting, mean, (kept > 0) & ~region, region, found),
+            boundary_rgb=partial(back, painting.boundaries[M_RGB]),
+            boundary_depth=partial(back, painting.boundaries[M_D]),
+            boundary_da=partial(back, painting.boundaries[M_DA]),
+            probability=found and partial(back, found.probability),
+            optical=partial(getattr, painting, "optical"),
+            geometric=partial(getattr, painting, "geometric"),
             windows=painting.windows,
+            classes=found and found.class_map,
         )
+
+    def stated(
+        self, painting: Painting, mean: np.ndarray, kept: np.ndarray, region: np.ndarray, found: Found | None
+    ) -> np.ndarray:
+        """Return :func:`expected_error` of a composed frame, (H, W) float32 metres."""
+        doubt = np.zeros_like(mean) if found is None else found.frame.back(found.probability)
+        out = painting.spread(region)
+        for rows in strips(mean.shape):
+            out[rows] = expected_error(*(m[rows] for m in (out, mean, kept, region, doubt)), self.config.std)
+        return out
 
     @torch.no_grad()
     def find_region(
@@ -270,11 +433,24 @@ class Ditr:
         Returns:
             (H, W) float32 probability and (H, W) bool region, refined at the working size.
         """
+        found = self.claim(rgb, depth, threshold, refine)
+        return found.frame.back(found.probability), found.frame.back(found.region)
+
+    @torch.no_grad()
+    def claim(
+        self,
+        rgb: np.ndarray,
+        depth: np.ndarray,
+        threshold: float | None = None,
+        refine: RefineConfig | None = None,
+    ) -> Found:
+        """Return what stage one says of a frame, at the working size; arguments as for :meth:`find_region`."""
         frame, classes = self.classify(rgb, depth)
         probability = 1 - classes[0]
         claimed = probability > (self.config.refine.threshold if threshold is None else threshold)
+        likelier = np.where(claimed, 1 + classes[1:].argmax(axis=0), 0).astype(np.uint8)
         region = self.refine(claimed & frame.picture, refine)  # the padding is no glass, and none grows out of it
-        return frame.back(probability), frame.back(region)
+        return Found(frame, probability, likelier, region)
 
     @torch.no_grad()
     def classify(self, rgb: np.ndarray, depth: np.ndarray) -> tuple[Frame, np.ndarray]:
@@ -294,8 +470,11 @@ class Ditr:
     def boundaries(self, rgb: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return M_RGB, M_D and M_DA of a whole frame, each (H, W) bool, found at the working size."""
         frame = fit_frame(depth.shape, self.config.size)
-        maps = frame.on_picture(boundary_maps, frame.into(rgb), frame.into(depth), backend=self.backend)
-        return tuple(frame.back(m) for m in maps)
+        return tuple(frame.back(m) for m in self.outlines(frame, frame.into(rgb), frame.into(depth)))
+
+    def outlines(self, frame: Frame, rgb: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return M_RGB, M_D and M_DA, each (h, w) bool, of a frame at the working size, but not of its padding."""
+        return frame.on_picture(boundary_maps, rgb, without_strays(depth), backend=self.backend)
 
     @torch.no_grad()
     def inpaint(
@@ -321,61 +500,72 @@ class Ditr:
         """
         frame = fit_frame(depth.shape, self.config.size)
         small = tuple(frame.into(image) for image in (rgb, depth, region))
-        views, bounds = self.look([small], plan.guides[1], False)
+        maps = self.outlines(frame, *small[:2])
+        views, bounds = self.look([small], plan.guides[1], False, [maps])
         mean, spread = self.paint(1, views, bounds, steps, samples, seed, plan)
-        own = frame.back(mean[0])
-        tied = tie(own, without_strays(depth), region)
-        geometric = np.where((depth > 0) & ~region, own, tied)  # readings are not echoed: adjust asks for the painting
-        geometric_spread = frame.back(spread[0])
-        optical, optical_spread = geometric.copy(), geometric_spread.copy()
+        whole = Layer(mean[0], spread[0], frame)
+        holes = np.packbits((depth == 0) | region, axis=1)
+        painting = Painting(whole, (), level(frame.back(mean[0]), depth, region), holes, maps)
         if not self.config.window:  # the paper's: the whole frame here, too
-            views, bounds = self.look([small], plan.guides[0], False)
+            views, bounds = self.look([small], plan.guides[0], False, [maps])
             mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
-            return Painting(frame.back(mean[0]), geometric, frame.back(spread[0]), geometric_spread, ())
-        close = self.close_ups(rgb, depth, region, geometric)
-        if close:
-            views, bounds = self.look([shown for *_, shown in close], plan.guides[0], True)
-            mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
-            for i, (window, pixels, inner, _) in enumerate(close):
-                window.paste(inner.back(mean[i]), optical, pixels)
-                window.paste(inner.back(spread[i]), optical_spread, pixels)
-        return Painting(optical, geometric, optical_spread, geometric_spread, tuple(window for window, *_ in close))
+            return replace(painting, close=(Layer(mean[0], spread[0], frame),))
+        close = self.close_ups(rgb, depth, region, lambda: painting.geometric)
+        if not close:
+            return painting
+        views, bounds = self.look([shown for *_, shown in close], plan.guides[0], True)
+        mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
+        layers = []
+        for i, (window, pixels, inner, _) in enumerate(close):
+            layers.append(Layer(mean[i], spread[i], inner, window, pixels))
+        return replace(painting, close=tuple(layers))
 
     def close_ups(
-        self, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray, spare: np.ndarray
+        self,
+        rgb: np.ndarray,
+        depth: np.ndarray,
+        region: np.ndarray,
+        spare: np.ndarray | Callable[[], np.ndarray],
     ) -> list[tuple[Window, np.ndarray, Frame, tuple[np.ndarray, ...]]]:
         """Return the windows of a region: each with the (H, W) bool pixels it paints, its frame and what it shows.
 
         What it shows are rgb, depth and region, as :meth:`inpaint` takes them, at the size that the networks see. A
-        window far from all readings shows ``spare`` (H, W) metres, what the geometric branch painted, instead.
+        window far from all readings shows ``spare`` (H, W) metres, what the geometric branch painted, instead; it may
+        be a call that makes it.
         """
         side, found = self.config.window, []
         for window, pixels in choose_windows(region):
             inner = fit_frame((window.side, window.side), (side, side))
-            read = window.cut(depth)
-            if not read.any():
-                read = window.cut(spare)
-            shown = tuple(inner.into(image) for image in (window.cut(rgb), read, window.cut(region)))
-            found.append((window, pixels, inner, shown))
+            read = inner.into(window.cut(depth))
+            if not read.any():  # every reading is in some cell: there is none
+                read = inner.into(window.cut(spare() if callable(spare) else spare))
+            found.append((window, pixels, inner, (inner.into(window.cut(rgb)), read, inner.into(window.cut(region)))))
         return found
 
-    def look(self, pictures: list[tuple[np.ndarray, ...]], guide: int | None, around: bool) -> tuple[Views, Bounds]:
+    def look(
+        self,
+        pictures: list[tuple[np.ndarray, ...]],
+        guide: int | None,
+        around: bool,
+        boundaries: list[tuple[np.ndarray, ...]] | None = None,
+    ) -> tuple[Views, Bounds]:
         """Turn pictures at network size into what a branch is given.
 
         Args:
             pictures: rgb (h, w, 3) uint8, depth (h, w) metres with a reading, and region (h, w) bool of each.
             guide: which boundary map guides the branch; None for an empty one.
             around: take the bounds of each from the readings outside its region alone.
+            boundaries: M_RGB, M_D and M_DA of each, (h, w) bool; None to find them.
 
         Returns:
             the views, on the device, and their bounds as tensors (B, 1, 1, 1).
         """
         rows, lows, highs = [], [], []
-        for rgb, depth, region in pictures:
+        for i, (rgb, depth, region) in enumerate(pictures):
             depth = without_strays(depth)
             bounds = depth_bounds(depth, ~region if around else None)
             depth_n, valid = depth_tensors(depth, bounds)
-            maps = boundary_maps(rgb, depth, self.backend)
+            maps = boundaries[i] if boundaries else boundary_maps(rgb, depth, self.backend)
             guiding = np.zeros_like(region) if guide is None else maps[guide]
             masks = [torch.from_numpy(m)[None, None].float() for m in (region, guiding, maps[M_RGB])]  # (1, 1, h, w)
             rows.append((to_tensor(rgb[None]), depth_n, valid, *masks))

@@ -6,6 +6,7 @@ window around each blob of the region for the optical one. All tensors are float
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor, nn
@@ -17,6 +18,7 @@ from .detail import detail_input
 from .schedule import NoiseSchedule
 
 BRANCHES = ("optical", "geometric")
+GROUP = 4  # samples that are drawn at a time: more take longer, but no more memory
 Sampler = Callable[..., Tensor]
 
 
@@ -112,7 +114,8 @@ def paint(
     # 3. Denoise from L_T ~ N(0, I) (Eq. 7) with the network of Eq. 8
     latents = denoise(painter.net, masked, known, features, schedule, steps, samples, prediction, generator, sampler)
     # 4. Decode: D_out = Dec(L) (I3)
-    decoded = painter.autoencoder.decode(latents)  # (S B, 1, H, W)
+    groups = latents.split(GROUP * len(views.rgb))
+    decoded = torch.cat([painter.autoencoder.decode(group) for group in groups])  # (S B, 1, H, W)
     # 5. Sharpen (not in the paper)
     if painter.detail is not None:
         decoded = sharpen(painter.detail, decoded, views)
@@ -151,19 +154,20 @@ def denoise(
         generator: of the noise.
         sampler: called like :func:`diffusion.sample`.
     """
-    masked = masked.repeat(samples, 1, 1, 1)
-    known = known.repeat(samples, 1, 1, 1)
-    features = [f.repeat(samples, 1, 1, 1) for f in features]
-    noise = torch.randn(masked.shape, generator=generator).to(masked.device)
-    return sampler(
-        lambda x, t: net(x, t, features, masked, known),
-        masked.shape,
-        schedule,
-        steps,
-        prediction,
-        generator=generator,
-        x_T=noise,
-    )
+    views = len(masked)
+    noise = torch.randn((samples * views, *masked.shape[1:]), generator=generator).to(masked.device)
+    drawn = []
+    for start in noise.split(GROUP * views):
+        group = len(start) // views
+        given = [f.repeat(group, 1, 1, 1) for f in features]
+        where = masked.repeat(group, 1, 1, 1), known.repeat(group, 1, 1, 1)
+        predict = partial(_predict, net, given, where)
+        drawn.append(sampler(predict, start.shape, schedule, steps, prediction, generator=generator, x_T=start))
+    return torch.cat(drawn)
+
+
+def _predict(net: nn.Module, features: list[Tensor], where: tuple[Tensor, Tensor], x: Tensor, t: Tensor) -> Tensor:
+    return net(x, t, features, *where)
 
 
 def sharpen(detail: nn.Module, decoded: Tensor, views: Views) -> Tensor:

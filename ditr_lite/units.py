@@ -1,6 +1,7 @@
 """What a depth map is: metres, 0 = nothing read; the checks of depth and mask, and the way to a unit and back."""
 
 import warnings
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -11,6 +12,7 @@ MAX_SEED = 2**63 - 1
 USUAL_M = (0.15, 5.0)  # where the median reading of an indoor frame lies; outside, a warning
 STRAY_RATIO = 1.25  # a reading that differs from nearly all its neighbours by this factor belongs to no surface
 MILLIMETRES = 0.001  # metres per unit
+STRIP = 2**20  # pixels of a large map that are worked on at a time, so that no copy of the whole is needed
 UNITS = (  # in the order in which they are proposed
     (MILLIMETRES, "millimetres"),
     (0.01, "centimetres"),
@@ -27,9 +29,19 @@ def clean_depth(depth: np.ndarray) -> np.ndarray:
     Masked pixels of a NumPy masked array are missing, too.
     """
     with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, that is missing
-        depth = np.array(np.ma.filled(depth, 0), dtype=np.float32)
-    depth[~(np.isfinite(depth) & (depth > 0) & (depth < MAX_DEPTH_M))] = 0
+        depth = np.array(np.ma.filled(depth, 0), dtype=np.float32, order="C")
+    flat = depth.reshape(-1)
+    for start in range(0, flat.size, STRIP):
+        part = flat[start : start + STRIP]
+        part[~(np.isfinite(part) & (part > 0) & (part < MAX_DEPTH_M))] = 0
     return depth
+
+
+def strips(shape: tuple[int, int]) -> Iterator[slice]:
+    """Yield slices of rows that together cover a map of ``shape`` (H, W), each of an even number, but for the last."""
+    rows = 2 * max(1, STRIP // (2 * max(1, shape[1])))
+    for start in range(0, shape[0], rows):
+        yield slice(start, min(start + rows, shape[0]))
 
 
 def strays(depth: np.ndarray, window: int = 5) -> np.ndarray:
@@ -45,6 +57,15 @@ def strays(depth: np.ndarray, window: int = 5) -> np.ndarray:
     Returns:
         (H, W) bool.
     """
+    half, found = window // 2, np.zeros(depth.shape, bool)
+    for rows in strips(depth.shape):
+        around = depth[max(rows.start - half, 0) : rows.stop + half]
+        first = rows.start - max(rows.start - half, 0)
+        found[rows] = _strays(around, window)[first : first + rows.stop - rows.start]
+    return found
+
+
+def _strays(depth: np.ndarray, window: int) -> np.ndarray:
     valid = depth > 0
     logs = np.log(np.where(valid, depth, 1.0)).astype(np.float32)
     padded = np.pad(np.where(valid, logs, np.nan), window // 2, constant_values=np.nan)
@@ -61,8 +82,19 @@ def strays(depth: np.ndarray, window: int = 5) -> np.ndarray:
 
 def without_strays(depth: np.ndarray) -> np.ndarray:
     """Return depth (H, W) in metres as the networks see it: without its :func:`strays`, unless it has nothing else."""
-    left = np.where(strays(depth), 0, depth).astype(np.float32)
-    return left if left.any() else depth.astype(np.float32)
+    return np.where(seen(depth), depth, 0).astype(np.float32)
+
+
+def seen(depth: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool, the readings of depth (H, W) that the networks see: not :func:`strays`, unless all are."""
+    read = depth > 0
+    left = read & ~strays(depth)
+    return left if left.any() else read
+
+
+def is_clean(depth: np.ndarray) -> bool:
+    """Return whether :func:`clean_depth` would change nothing of an array."""
+    return depth.dtype == np.float32 and all(((row >= 0) & (row < MAX_DEPTH_M)).all() for row in depth)
 
 
 def check_unit(name: str, depth: np.ndarray, scale: float = 1.0) -> None:
@@ -83,7 +115,7 @@ def check_unit(name: str, depth: np.ndarray, scale: float = 1.0) -> None:
     read = depth[np.isfinite(depth) & (depth > 0)]
     if not read.size:
         return
-    median = float(np.median(read))
+    median = float(np.median(read, overwrite_input=True))
     if MIN_DEPTH_M <= median < MAX_DEPTH_M:
         if not USUAL_M[0] <= median <= USUAL_M[1]:
             side = f"nearer than {USUAL_M[0]}" if median < USUAL_M[0] else f"farther than {USUAL_M[1]:g}"
@@ -130,7 +162,7 @@ def check_inputs(
         raise ValueError(f"region: expected {depth.shape} bool, got {region.shape} {region.dtype}")
     check_count("samples", samples, 1, MAX_SAMPLES)
     check_unit("depth", depth)
-    depth = clean_depth(depth)
+    depth = depth if is_clean(depth) else clean_depth(depth)
     if not (depth > 0).any():
         raise ValueError(
             "depth holds no reading (all pixels are 0, negative or not finite); completion needs some depth"
@@ -163,8 +195,13 @@ def _array(name: str, given: np.ndarray) -> np.ndarray:
 
 def depth_to_png(depth_m: np.ndarray, depth_scale: float = MILLIMETRES) -> np.ndarray:
     """Return (H, W) uint16 of a depth map in metres, in units of ``depth_scale`` metres, 0 staying 0."""
-    units = np.asarray(depth_m, dtype=np.float64) / depth_scale
-    return np.clip(np.rint(units), 0, 65535).astype(np.uint16)
+    depth_m = np.ascontiguousarray(depth_m)
+    whole = np.empty(depth_m.shape, np.uint16)
+    flat, stored = depth_m.reshape(-1), whole.reshape(-1)
+    for start in range(0, flat.size, STRIP):
+        units = flat[start : start + STRIP].astype(np.float64) / depth_scale
+        stored[start : start + STRIP] = np.clip(np.rint(units), 0, 65535)
+    return whole
 
 
 def upsample_sparse(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:

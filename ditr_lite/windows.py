@@ -12,8 +12,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
+import torch.nn.functional as F
+from torch import Tensor
 
-from .conditioning import fill
+from .conditioning import fill, pool
+from .units import seen, strips
 
 MARGIN = 2.0  # side of a window over the longer side of what it must hold
 LEAST = 0.2  # smallest side, as a share of the frame's longer side
@@ -39,7 +42,7 @@ class Frame:
         if image.ndim == 3:
             method = cv2.INTER_AREA if self.height < self.source[0] else cv2.INTER_LINEAR
         kind = np.uint8 if image.dtype == bool else image.dtype
-        small = cv2.resize(image.astype(kind), (self.width, self.height), interpolation=method)
+        small = cv2.resize(image.astype(kind, copy=False), (self.width, self.height), interpolation=method)
         if image.ndim == 2 and np.issubdtype(image.dtype, np.floating):
             pool_readings(small, image)
         return np.pad(small, self.padding + ((0, 0),) * (image.ndim - 2)).astype(image.dtype)
@@ -74,13 +77,20 @@ class Frame:
         image = image[: self.height, : self.width]
         if image.dtype == bool:
             return cv2.resize(image.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
-        nearest = cv2.resize(image, size, interpolation=cv2.INTER_NEAREST)
         if size == (self.width, self.height):
-            return nearest
+            return image.copy()
         smooth = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
-        edge = np.abs(smooth - nearest) > 0.01 * np.abs(nearest)  # averaging over a jump would make flying pixels
-        np.copyto(smooth, nearest, where=edge)
+        columns = _nearest(size[0], self.width)
+        for rows in strips(self.source):
+            nearest = image[_nearest(size[1], self.height)[rows, None], columns]
+            edge = np.abs(smooth[rows] - nearest) > 0.01 * np.abs(nearest)  # averages over a jump: flying pixels
+            np.copyto(smooth[rows], nearest, where=edge)
         return smooth
+
+
+def _nearest(length: int, short: int) -> np.ndarray:
+    """Return which of ``short`` pixels each of ``length`` takes, as OpenCV's INTER_NEAREST does."""
+    return np.minimum(np.floor(np.arange(length) * (1 / (length / short))).astype(int), short - 1)
 
 
 def fit_frame(source: tuple[int, int], size: tuple[int, int]) -> Frame:
@@ -100,6 +110,14 @@ def pool_readings(small: np.ndarray, image: np.ndarray) -> None:
         return
     rows, columns = ((np.arange(n) + 0.5) * s for n, s in zip(image.shape, scale, strict=True))
     y, x = np.minimum(rows.astype(int), small.shape[0] - 1), np.minimum(columns.astype(int), small.shape[1] - 1)
+    for cells in strips((small.shape[0], image.size // small.shape[0])):  # some rows of cells at a time
+        here = slice(*np.searchsorted(y, (cells.start, cells.stop)))
+        _pool_rows(small, image[here], (y[here], x), (rows[here], columns))
+
+
+def _pool_rows(small: np.ndarray, image: np.ndarray, cells: tuple, places: tuple) -> None:
+    """Do :func:`pool_readings` for some rows of the image, all those of their cells."""
+    (y, x), (rows, columns) = cells, places
     wanted = (image > 0) & (small == 0)[y[:, None], x[None]]
     v, u = np.nonzero(wanted)
     if v.size == 0:
@@ -109,24 +127,41 @@ def pool_readings(small: np.ndarray, image: np.ndarray) -> None:
     small[y[v[order]], x[u[order]]] = image[v[order], u[order]]
 
 
-def tie(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
-    """Draw a painting towards the readings around its holes: what they differ by is spread into the holes.
+def level(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> Tensor | None:
+    """Return how far the readings lie above a painting, filled where there is none.
 
-    The working size is smaller than a camera's picture; this gives a filled hole the level of its rim at full size.
-    By ratios, so that distance does not matter.
+    The working size is smaller than a camera's picture: this gives a filled hole the level of its rim at full size, see
+    :func:`tie`. By ratios, so that distance does not matter.
 
     Args:
         painted: (H, W) metres, dense.
-        depth: (H, W) raw metres, 0 = missing.
-        region: (H, W) bool, whose readings do not count.
+        depth: (H, W) raw metres, 0 = missing; readings that are :func:`strays` do not count.
+        region: (H, W) bool, whose readings do not count either.
 
     Returns:
-        (H, W) float32 metres, equal to ``depth`` where a reading counts.
+        (1, 1, H/2, W/2) logarithm of the ratio, rounded up; None where no reading counts.
     """
-    known = (depth > 0) & ~region
-    difference = np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0))
-    maps = [torch.from_numpy(m.astype(np.float32))[None, None] for m in (difference, known)]
-    return (painted * np.exp(fill(*maps)[0, 0].numpy())).astype(np.float32)
+    known = seen(depth)
+    known &= ~region
+    if not known.any():
+        return None
+    pooled = []
+    for rows in strips(painted.shape):
+        maps = (_ratio(painted[rows], depth[rows], known[rows]), known[rows])
+        pooled.append(pool(*(torch.from_numpy(m.astype(np.float32))[None, None] for m in maps)))
+    mean, share = (torch.cat(parts, dim=2) for parts in zip(*pooled, strict=True))
+    return fill(mean, (share > 0).float())
+
+
+def tie(painted: np.ndarray, lift: Tensor, holes: np.ndarray) -> None:
+    """Raise a painting (H, W) in metres by ``lift``, its :func:`level`, in place, in its holes (H, W) bool."""
+    offset = F.interpolate(lift, size=painted.shape, mode="bilinear", align_corners=False)[0, 0].numpy()
+    for rows in strips(painted.shape):
+        np.multiply(painted[rows], np.exp(offset[rows]), out=painted[rows], where=holes[rows])
+
+
+def _ratio(painted: np.ndarray, depth: np.ndarray, known: np.ndarray) -> np.ndarray:
+    return np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0)).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -205,7 +240,15 @@ def choose_windows(region: np.ndarray, most: int = MOST) -> list[tuple[Window, n
         else:
             boxes[home] = np.concatenate([np.minimum(boxes[home][:2], box[:2]), np.maximum(boxes[home][2:], box[2:])])
             members[home].append(blob)
-    return [(square(box, region.shape), np.isin(labels, blobs)) for box, blobs in zip(boxes, members, strict=True)]
+    return [(square(box, region.shape), _of(labels, box, blobs)) for box, blobs in zip(boxes, members, strict=True)]
+
+
+def _of(labels: np.ndarray, box: np.ndarray, blobs: list[int]) -> np.ndarray:
+    """Return (H, W) bool of some blobs; outside their box nothing is written, so that it takes no memory there."""
+    pixels = np.zeros(labels.shape, bool)
+    inner = np.s_[box[0] : box[2], box[1] : box[3]]
+    pixels[inner] = np.isin(labels[inner], blobs)
+    return pixels
 
 
 def _home(box: np.ndarray, boxes: list[np.ndarray], shape: tuple[int, int], full: bool) -> int | None:

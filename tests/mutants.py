@@ -487,13 +487,13 @@ FRAMES = [
         ("not pooled", "            pool_readings(small, image)\n", "            pass\n"),
         ("pooled: the farthest from the centre", "order = np.argsort(-away", "order = np.argsort(away"),
         ("pooled: over readings", "(image > 0) & (small == 0)[", "(image > 0) & (small >= 0)["),
-        ("tie: by differences", "painted * np.exp(fill(", "painted + np.exp(fill("),
+        ("tie: by differences", "np.multiply(painted[rows], np.exp", "np.add(painted[rows], np.exp"),
         (
             "tie: upside down",
             "np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0))",
             "np.log(np.where(known, painted, 1.0) / np.where(known, depth, 1.0))",
         ),
-        ("tie: to the region, too", "known = (depth > 0) & ~region\n", "known = depth > 0\n"),
+        ("tie: to the region, too", "    known &= ~region\n", ""),
     ),
     *family(
         "readings",
@@ -584,8 +584,8 @@ FRAMES = [
         ),
         (
             "every sample the same noise",
-            "noise = torch.randn(masked.shape, generator=generator)",
-            "noise = torch.randn(masked.shape, generator=generator)[:1].expand(masked.shape)",
+            "for start in noise.split(GROUP * views):",
+            "for start in noise[:1].expand(noise.shape).split(GROUP * views):",
         ),
     ),
     *family(
@@ -603,8 +603,8 @@ INPUTS = [
     *family(
         "files of any camera",
         "files",
-        ("scale: of integers only", "metres = raw if scale == 1 else raw.astype(np.float64) * scale", "metres = raw"),
-        ("65535 is a distance", "np.where(raw == NO_READING, 0.0, raw.astype(np.float64) * scale)", "raw * scale"),
+        ("scale: of integers only", "if raw.dtype == np.float32 and scale == 1:", "if raw.dtype == np.float32:"),
+        ("65535 is a distance", "row[stored == NO_READING] = 0", "pass"),
         ("PNG: checksums are not read", 'zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big")', "False"),
         ("JPEG: the end is not looked for", 'data.rfind(b"\\xff\\xd9") < data.rfind(b"\\xff\\xda")', "False"),
         ("PNG out: always millimetres", "depth_to_png(depth_m, depth_scale))", "depth_to_png(depth_m))"),

@@ -63,7 +63,7 @@ def commands():
     yield from resources()[1]["spec"]["template"]["spec"]["containers"][0]["args"]
 
 
-@pytest.mark.parametrize("text", commands(), ids=["slurm", "kubernetes"])
+@pytest.mark.parametrize("text", list(commands()), ids=["slurm", "kubernetes"])
 def test_what_they_start_is_a_command_of_ours(text):
     words = text.split("-m ditr_lite ")[-1].replace('"$@"', "").split()
     options = parser().parse_args(words)

@@ -343,7 +343,7 @@ def test_readings_leave_as_a_png_in_the_unit_in_which_they_came(tmp_path, scale)
         np.random.default_rng(0).integers(1, int(5.0 / scale) if scale > 1e-4 else 60000, (40, 50)).astype(np.uint16)
     )
     came = save_image(tmp_path / "in.png", units)
-    files.write_depth(tmp_path / "out.png", files.read_depth(came, scale), files.unit_of(came, scale))
+    files.write_depth(tmp_path / "out.png", *files.read_depth_and_unit(came, scale))
     np.testing.assert_array_equal(files.read_array(tmp_path / "out.png"), units)
 
 

@@ -18,6 +18,7 @@ READING_ORDER = (
     "07_metrics",
     "08_ablations",
     "09_your_own_camera",
+    "10_training_at_scale",
 )
 MAX_NOTEBOOK_BYTES = 500_000
 MIN_ALT = 20  # characters: "figure" or "plot" describes nothing

@@ -4,11 +4,11 @@ import torch
 
 from ditr_lite import pipeline
 from ditr_lite.config import RefineConfig, override, preset
-from ditr_lite.pipeline import Ditr, Painting, build, compose
+from ditr_lite.pipeline import Ditr, Layer, Painting, build, compose
 from ditr_lite.region import refine_region
 from ditr_lite.stage_two import BRANCHES, Plan
 from ditr_lite.store import load_parts, save_part
-from ditr_lite.windows import MOST, tie
+from ditr_lite.windows import MOST, fit_frame, level, tie
 
 TINY = override(preset("tiny"), **{"sampler.steps": 2, "sampler.samples": 1})
 
@@ -128,10 +128,15 @@ def test_spread_is_the_standard_deviation_of_what_was_drawn(ditr, monkeypatch):
 
 def test_what_is_composed_is_as_sure_as_the_painting_says(ditr, monkeypatch):
     rgb, depth, region = frame(64, 96)
-    maps = [np.full((64, 96), v, np.float32) for v in (0.6, 1.6, 0.02, 0.04)]
-    monkeypatch.setattr(ditr, "inpaint", lambda *a: Painting(*maps, ()))
-    out = ditr(rgb, depth, region, samples=2)
+    view = fit_frame((64, 96), (64, 96))
+    close, whole = (
+        Layer(np.full((64, 96), v, np.float32), np.full((64, 96), s, np.float32), view)
+        for v, s in ((0.6, 0.02), (1.6, 0.04))
+    )
     holes, kept = ~region & (depth == 0), ~region & (depth > 0)
+    painting = Painting(whole, (close,), None, np.packbits(holes, axis=1), (region,) * 3)
+    monkeypatch.setattr(ditr, "inpaint", lambda *a: painting)
+    out = ditr(rgb, depth, region, samples=2)
     assert np.allclose(out.depth[region], 0.6) and np.allclose(out.depth[holes], 1.6)
     assert np.allclose(out.std[region], 0.02) and np.allclose(out.std[holes], 0.04) and not out.std[kept].any()
 
@@ -266,7 +271,9 @@ def test_painters_can_change_places():
     one, swapped = (painted(ditr, Plan(painters=p, guides=(0, 0))) for p in (BRANCHES, BRANCHES[::-1]))
     _, depth, region = frame(64, 96)
     holes = ~region & (depth == 0)
-    assert np.allclose(tie(swapped.optical, depth, region)[holes], one.geometric[holes], rtol=1e-4)
+    tied = swapped.optical.copy()
+    tie(tied, level(tied, depth, region), holes)
+    assert np.allclose(tied[holes], one.geometric[holes], rtol=1e-4)
     assert not np.allclose(swapped.optical, one.optical, rtol=1e-3)
 
 
@@ -336,6 +343,9 @@ def test_weights_of_another_size_are_refused_by_name(tmp_path):
         ({"samples": 0}, "samples: expected at least 1"),
         ({"steps": 0}, "steps"),
         ({"steps": 1001}, "steps"),
+        ({"threshold": "high"}, "threshold: expected a probability"),
+        ({"threshold": float("nan")}, "threshold: expected a probability"),
+        ({"refine": (3, 3, 1)}, "refine: expected a config.RefineConfig"),
     ],
 )
 def test_bad_requests_are_named(ditr, change, message):
@@ -355,6 +365,41 @@ def test_a_few_scattered_readings_are_enough(ditr):
     sparse[::90, ::90] = np.maximum(depth[::90, ::90], 0.5)
     out = ditr(rgb, sparse, np.zeros(depth.shape, bool), steps=1)
     assert (out.depth > 0).all() and same_bits(out.depth[sparse > 0], sparse[sparse > 0])
+
+
+def test_maps_are_made_when_they_are_asked_for_and_stay(ditr):
+    rgb, depth, region = frame(100, 150)
+    out, again = ditr(rgb, depth, samples=1), ditr(rgb, depth, samples=1)
+    again.depth[:], depth[:] = 0, 9  # neither what came nor what was given is looked at later
+    for key in ("boundary_rgb", "boundary_depth", "boundary_da", "probability", "optical", "geometric", "classes"):
+        first = getattr(out, key)
+        assert first is getattr(out, key) and np.array_equal(first, getattr(again, key)), key
+    assert out.classes.dtype == np.uint8 and ((out.classes > 0) == (out.probability > 0.5)).mean() > 0.98
+    assert ditr(rgb, frame(100, 150)[1], region, samples=1).classes is None
+
+
+def test_stage_one_and_the_boundaries_of_the_frame_are_found_once(monkeypatch):
+    seen, asked = [], []
+    ditr = Ditr(untrained(), TINY, boundary=lambda image: seen.append(image.shape) or np.zeros(image.shape[:2], bool))
+    classify = ditr.classify
+    monkeypatch.setattr(ditr, "classify", lambda *a: asked.append(1) or classify(*a))
+    rgb, depth, region = frame(60, 160)
+    out = ditr(rgb, depth, np.zeros_like(region), samples=1)
+    assert len(seen) == 2 and not out.boundary_da.any() and not asked
+    assert out.boundary_rgb.shape == (60, 160)
+    ditr(rgb, depth, samples=1)
+    assert len(asked) == 1
+
+
+@pytest.mark.parametrize("strip", [1, 4000])
+def test_a_large_frame_is_worked_on_in_strips_with_the_same_bits(ditr, monkeypatch, strip):
+    rgb, depth, region = frame(333, 500)
+    depth[5:300:40, 7:400:50] = 30  # strays
+    keys = ("depth", "std", "optical", "geometric", "boundary_da")
+    whole = ditr(rgb, depth, region, samples=2)
+    monkeypatch.setattr("ditr_lite.units.STRIP", strip)
+    parts = ditr(rgb, depth, region, samples=2)
+    assert all(getattr(whole, key).tobytes() == getattr(parts, key).tobytes() for key in keys)
 
 
 def test_no_boundary_runs_along_the_edge_of_the_padding(ditr):

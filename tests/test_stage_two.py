@@ -105,6 +105,19 @@ def test_a_seed_paints_the_same_and_samples_differ():
     assert torch.equal(one, again) and not torch.equal(one, other) and not torch.equal(one[0], one[1])
 
 
+def test_many_samples_are_drawn_in_groups_and_are_the_same(monkeypatch):
+    who, what, sizes = painter(), views(), []
+    whole = go(who, what, steps=2, samples=7)
+    monkeypatch.setattr(stage_two, "GROUP", 3)
+
+    def counted(predict, shape, *args, **options):
+        sizes.append(shape[0])
+        return sample(predict, shape, *args, **options)
+
+    groups = go(who, what, steps=2, samples=7, sampler=counted)
+    assert sizes == [6, 6, 2] and torch.allclose(groups, whole, atol=1e-5)
+
+
 @pytest.mark.parametrize("evidence", [True, False])
 def test_readings_inside_the_region_matter_only_as_evidence(evidence):
     who, what = painter(detail=False, evidence=evidence), views()

@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -71,6 +72,19 @@ def test_the_light_set_installs_the_package_without_what_it_needs_elsewhere(ran)
     ran.clear()
     tasks.main(["lab"])  # and opening the notebooks does not fetch the rest
     assert not any("pip" in line for line in words(ran))
+
+
+def test_every_way_to_install_brings_the_extension_of_jupyterlab(ran):
+    inside = Path("share", "jupyter", "labextensions")
+    files = {path.relative_to(tasks.EXTENSIONS) for path in tasks.EXTENSIONS.rglob("*") if path.is_file()}
+    tasks.main(["class"])
+    assert {path.relative_to(tasks.VENV / inside) for path in (tasks.VENV / inside).rglob("*.js*")} == files
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    listed = project["tool"]["setuptools"]["data-files"]
+    placed = {Path(folder, Path(name).name): ROOT / name for folder, names in listed.items() for name in names}
+    assert placed == {inside / file: tasks.EXTENSIONS / file for file in files}
+    for name in ("Dockerfile", "binder/postBuild"):
+        assert "cp -r tools/labextensions" in (ROOT / name).read_text(encoding="utf-8")
 
 
 def test_a_changed_list_of_packages_is_installed_again(ran, monkeypatch, tmp_path):

@@ -14,6 +14,7 @@ from ditr_lite.config import RefineConfig, StdConfig, preset
 from ditr_lite.data import list_samples, load_sample
 from ditr_lite.pipeline import Ditr, build
 from ditr_lite.store import save_part
+from ditr_lite.studies import peer_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -206,3 +207,24 @@ def test_the_disturbance_table_goes_into_the_readme():
     assert "| 300 readings | 0.80 [0.70, 0.90] |" in text and "`python x`" in text
     card = {"parts": {"a": {"steps": 2, "seconds": 60, "scenes": {"x": 3, "y": 4}}, "encoder": {"sha256": "0"}}}
     assert "| a | 7 | 2 | 1 |" in readme.training(card) and "encoder" not in readme.training(card)
+
+
+def peer_report():
+    """Return what tools/peer_study.py would write of two frames."""
+    rng = np.random.default_rng(0)
+    names = (peer_tables.SHIPPED, peer_tables.EQUAL, *peer_tables.IDEAS, "harmonic", "equal time, true region")
+    names += tuple(f"{step}, seed 0" for step in ("BB", "+DP", "+RR"))
+    rmse = {f: {n: dict(zip(peer_tables.SETS, rng.uniform(0.01, 0.05, 3), strict=True)) for n in names} for f in "abc"}
+    part = {**peer_tables.summarise_peers(rmse), "rmse_m": rmse}
+    trained = {"regression-0": {"arm": "regression", "minutes": 1.5, "seed": 0, "scenes": 938}}
+    settings = {"size": [96, 128]}
+    return {"command": "python x", "settings": settings, "trained": trained, "splits": {"test": part, "rooms": part}}
+
+
+def test_the_peers_go_into_the_readme(monkeypatch):
+    readme = load("readme_results")
+    monkeypatch.setattr(readme, "is_current", lambda result: False)
+    text = readme.peers(peer_report() | {"real": {"desk": {"ditr": {"moved": 0.01}}}})
+    assert "the same 938 scenes for 1.5 min" in text and "128 x 96" in text and "earlier weights" in text
+    assert all(f"| {name} | {says} |" in text for name, says in peer_tables.IDEAS.items())
+    assert text.count("+DP after BB, optical, per training seed") == 2 and "1 without" in text

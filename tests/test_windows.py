@@ -11,6 +11,7 @@ from ditr_lite.windows import (
     Window,
     choose_windows,
     fit_frame,
+    level,
     pool_readings,
     square,
     tie,
@@ -113,15 +114,22 @@ def test_what_is_found_on_the_picture_never_sees_its_padding():
 # --- tie --------------------------------------------------------------------------------------------------------------
 
 
-def test_a_tied_painting_is_the_readings_where_they_count():
+def tied_to(painted, depth, region):
+    """Return a painting raised to the level of the readings wherever none counts."""
+    tied = painted.copy()
+    tie(tied, level(painted, depth, region), (depth == 0) | region)
+    return tied
+
+
+def test_only_holes_are_raised_and_by_the_readings_that_count():
     depth = table()
     region = np.zeros(depth.shape, bool)
     region[10:20, 10:20] = True
     painted = np.random.default_rng(1).uniform(0.3, 1.2, depth.shape).astype(np.float32)
-    tied = tie(painted, depth, region)
-    known = (depth > 0) & ~region
-    assert np.allclose(tied[known], depth[known], rtol=1e-5) and tied.dtype == np.float32 and (tied > 0).all()
-    assert np.array_equal(tied, tie(painted, np.where(region, 5, depth).astype(np.float32), region))
+    tied, known = tied_to(painted, depth, region), (depth > 0) & ~region
+    assert np.array_equal(tied[known], painted[known]) and tied.dtype == np.float32 and (tied > 0).all()
+    assert not np.allclose(tied[~known], painted[~known])
+    assert np.array_equal(tied, tied_to(painted, np.where(region, 5, depth).astype(np.float32), region))
 
 
 @settings(deadline=None, max_examples=20)
@@ -130,13 +138,21 @@ def test_a_painting_that_is_off_by_a_ratio_is_put_right(ratio):
     depth = np.where(table() > 0, table(), 0)
     whole = np.linspace(0.9, 0.5, 48)[:, None] * np.ones((1, 64))
     depth = np.where(depth > 0, whole, 0).astype(np.float32)
-    tied = tie((ratio * whole).astype(np.float32), depth, np.zeros(depth.shape, bool))
-    assert np.allclose(tied, whole, rtol=1e-4)
+    tied = tied_to((ratio * whole).astype(np.float32), depth, np.zeros(depth.shape, bool))
+    assert (depth == 0).any() and np.allclose(tied[depth == 0], whole[depth == 0], rtol=1e-4)
 
 
-def test_without_a_reading_a_painting_stays():
-    painted = table() + 0.5
-    assert np.array_equal(tie(painted, 0 * painted, np.zeros(painted.shape, bool)), painted)
+def test_without_a_reading_that_counts_there_is_no_level():
+    painted, region = table() + 0.5, np.zeros((48, 64), bool)
+    assert level(painted, 0 * painted, region) is None and level(painted, table(), ~region) is None
+
+
+def test_a_stray_reading_does_not_raise_what_is_around_it():
+    depth, region = np.full((48, 64), 0.7, np.float32), np.zeros((48, 64), bool)
+    depth[20:23, 30:33] = 0
+    spoilt = depth.copy()
+    spoilt[24, 31] = 20
+    assert np.allclose(level(0 * depth + 0.7, spoilt, region), 0, atol=1e-6)
 
 
 # --- one window -------------------------------------------------------------------------------------------------------

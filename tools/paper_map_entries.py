@@ -80,8 +80,8 @@ S5 | done | 03_vq_autoencoder | 5 · Where the quantiser sits, and why diffusion
 autoencoder.VQAutoencoder | test_autoencoder.py::test_shapes_and_latents_before_quantisation
 autoencoder: no skip connections, scale 4 by two down- and two up-samplings, quantiser in the decoder
 
-S6 | done | 04_ddpm_math | The learning rate that the paper states
-training.as_the_paper.scaled_rate | training/test_as_the_paper.py::test_a_step_of_training_runs_at_the_papers_widths
+S6 | done | 10_training_at_scale | The paper's recipe is a configuration
+training.as_the_paper.paper_recipe | training/test_as_the_paper.py::test_stage_two_has_the_papers_batch_and_rate
 training of stage two: 1,000 diffusion steps, batch 64, learning rate 1e-6
 
 S7 | done | 04_ddpm_math | Level by level
@@ -185,15 +185,15 @@ baselines.keep_and_fill | test_baselines.py::test_keeping_keeps_readings_inside
 DeepCompletion; the idea: trust every reading, solve for the smoothest surface in the holes
 
 C2 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
-peers.networks.PixelUNet | peers/test_networks.py::test_colour_alone_looks_at_no_depth
+peers.ideas.RgbOnly | peers/test_ideas.py::test_colour_alone_is_shown_no_depth
 DenseDepth; the idea: regress depth from colour alone
 
 C3 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
-peers.compare.methods | peers/test_compare.py::test_every_method_is_asked_about_every_frame
-SRD; the idea: segment what the sensor gets wrong, then regress (a peer, composed with the region)
+peers.ideas.SelfSupervised | peers/test_ideas.py::test_self_supervision_uses_no_truth_and_nothing_inside_the_region
+SRD; the idea: depth from colour, taught and scaled by the readings outside the region
 
 C4 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
-evaluation.protocols.fitted | peers/test_networks.py::test_alignment_undoes_a_scale_and_a_shift
+evaluation.protocols.fitted | peers/test_system.py::test_an_alignment_is_another_reading_of_the_same_weights
 MiDaS; the idea: depth from colour up to scale and shift
 
 C5 | done | 04_ddpm_math | Who asks whom?
@@ -204,24 +204,24 @@ C6 | done | 06_full_pipeline | 12 · Score it beside every baseline
 baselines.harmonic | test_baselines.py::test_readings_inside_the_region_are_not_looked_at
 ClearGrasp; the idea: drop the readings inside the region, solve from what surrounds it
 
-C7 | left out | - | -
-- | -
+C7 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.ideas.ImplicitRays | peers/test_ideas.py::test_a_ray_begins_at_the_fill_and_ends_where_it_is_told
 LIDF; the idea: an implicit function along each ray
 
-C8 | left out | - | -
-- | -
+C8 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.ideas.PointCompletion | peers/test_ideas.py::test_a_projected_cloud_is_its_depth_map_and_near_points_hide_far_ones
 TranspareNet; the idea: complete the distorted cloud, then the map
 
-C9 | done | 06_full_pipeline | 12 · Score it beside every baseline
-baselines.keep_and_fill_debiased | test_baselines.py::test_debiased_takes_the_bias_off_inside_only
+C9 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.ideas.Regression | peers/test_ideas.py::test_untrained_a_painter_begins_at_the_fill
 DFNet; the idea: correct the readings inside the region instead of dropping them
 
-C10 | left out | - | -
-- | -
+C10 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.ideas.Adversarial | peers/test_ideas.py::test_the_critic_is_held_while_it_judges_the_painter
 DepthGrasp; the idea: let a critic tell completed depth from real
 
 C11 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
-peers.networks.predicted_depth | peers/test_networks.py::test_confidence_decides_between_prediction_and_sensor
+peers.ideas.TwoStreamConfidence | peers/test_ideas.py::test_confidence_decides_between_prediction_and_sensor
 SwinDRNet; the idea: fuse colour and depth by confidence
 
 N1 | done | 06_full_pipeline | Where we depart from the paper

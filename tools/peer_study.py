@@ -1,65 +1,52 @@
-"""Score DITR, its learned peers, its ablation and its oracles on one split, in one run.
+"""Score DITR, its learned peers, its ablation and its oracles on both test splits and, if given, on real frames.
 
-python tools/peer_study.py [--split test] [--limit N] [--peers outputs/peers] [--workers 2] [--json FILE]
+python tools/peer_study.py [--split test rooms] [--limit N] [--peers outputs/peers] [--real FRAMES.py] [--json FILE]
 
-The peers and arms must have been trained: `for arm in regression single_latent_diffusion ... dp ditr; do
-python tools/train_peer.py $arm --minutes M; done`, BB (single_latent_diffusion) and dp also with `--seed 1`.
+The arms must have been trained: `python tools/train_peers.py`. What was scored is kept in `scores` in the folder of the
+arms; a stopped or repeated run computes only what is missing or depends on weights that have changed.
 """
 
 import argparse
-import multiprocessing
 import sys
 from pathlib import Path
-
-import torch
-from tqdm.auto import tqdm
 
 import ditr_lite as dl
 from ditr_lite.evaluation import results
 from ditr_lite.peers import compare
 from ditr_lite.store import read_card
-
-STUDY = {}  # of a worker: the system and the methods, built once
-
-
-def begin(peers: Path, threads: int) -> None:
-    """Build what a worker scores frames with."""
-    torch.set_num_threads(threads)
-    ditr = dl.Ditr.from_pretrained()
-    STUDY.update(ditr=ditr, rows=compare.methods(ditr, peers))
-
-
-def score(name: str) -> dict:
-    """Score all methods on one frame."""
-    return compare.score_methods([dl.load_sample(name)], **STUDY)
+from ditr_lite.studies import peer_tables
 
 
 def main() -> None:
     """Parse the arguments, score, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--split", default="test")
-    parser.add_argument("--limit", type=int)
+    parser.add_argument("--split", nargs="+", default=["test", "rooms"])
+    parser.add_argument("--limit", type=int, help="only the first frames of each split")
     parser.add_argument("--peers", type=Path, default=Path("outputs/peers"))
-    parser.add_argument("--workers", type=int, default=2, help="frames at a time (%(default)s)")
-    parser.add_argument("--json", type=Path, default=compare.RESULTS)
+    parser.add_argument("--real", type=Path, help="a Python file whose frames() yields real frames")
+    parser.add_argument("--json", type=Path, default=peer_tables.RESULTS)
+    parser.add_argument("--pictures", type=Path, default=peer_tables.PICTURES, help="for each peer's worst completion")
     args = parser.parse_args()
-    compare.methods(dl.Ditr.from_pretrained(), args.peers)  # a worker without weights would be restarted for ever
-    names, scores = dl.list_samples(args.split)[: args.limit], {}
-    threads = max(1, torch.get_num_threads() // args.workers)
-    with multiprocessing.get_context("spawn").Pool(args.workers, begin, (args.peers, threads)) as pool:
-        for found in tqdm(pool.imap(score, names), total=len(names), desc="frames", unit="frame"):
-            scores |= found
-    report = compare.summarise_peers(scores)
-    card = read_card(args.peers)["parts"]
-    report["trained"] = {
-        name: {k: part[k] for k in ("arm", "minutes", "seed", "steps", "scenes", "sha256")}
-        for name, part in card.items()
-    }
-    for table in (compare.format_peers, compare.format_ablation, compare.format_oracles):
-        print(table(report), end="\n\n")
-    notes = {"split": args.split, "frames": len(scores)}
-    top = results.head(results.tool_command("peer_study", sys.argv[1:]), **notes)
-    results.write(args.json, top, {**report, "rmse_m": scores})
+    ditr = dl.Ditr.from_pretrained()
+    rows = compare.methods(ditr, args.peers)
+    splits = {}
+    for split in args.split:
+        names = dl.list_samples(split)[: args.limit]
+        frames = compare.frames_of(ditr, map(dl.load_sample, names), len(names))
+        scores = compare.score_rows(rows, frames, args.peers / "scores" / split, compare.score_rendered)
+        splits[split] = {**peer_tables.summarise_peers(scores), "rmse_m": scores}
+        if split == args.split[0]:
+            failures = peer_tables.failure_frames(splits[split])
+            compare.paint_failures(rows, frames, failures, args.pictures)
+    report = {"settings": read_card(args.peers)["config"], "trained": compare.trained_notes(args.peers)}
+    report |= {"splits": splits, "failures": failures}
+    if args.real:
+        frames = compare.frames_of(ditr, compare.frames_of_file(args.real))
+        blind = {name: row for name, row in rows.items() if name not in compare.NEED_TRUTH}
+        report["real"] = compare.score_rows(blind, frames, args.peers / "scores" / "real", compare.score_real)
+    print(peer_tables.format_study(report))
+    top = results.head(results.tool_command("peer_study", sys.argv[1:]))
+    results.write(args.json, top, report)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from ditr_lite.evaluation.results import is_current
 from ditr_lite.evaluation.statistics import format_interval
-from ditr_lite.peers import compare
 from ditr_lite.store import read_card
+from ditr_lite.studies import peer_tables
 
 START, END = "<!-- results: tools/readme_results.py -->", "<!-- end of results -->"
 SETS = ("optical", "optical_valid", "geometric", "outside", "whole")
@@ -85,36 +85,50 @@ def real(result: dict) -> str:
 
 
 def peers(result: dict) -> str:
-    """Return the paragraph about learned peers at equal training time, and the trained ablation."""
-    mean, ratio = result["mean"], result["ratio"]
-    minutes = {part["arm"]: 0.0 for part in result["trained"].values()}
-    for part in result["trained"].values():
-        minutes[part["arm"]] += part["minutes"] * (part["seed"] == 0)
+    """Return the paragraph about learned peers at equal training time, the trained ablation and the oracles."""
+    first = [part for part in result["trained"].values() if part["seed"] == 0]
+    minutes = {arm: sum(part["minutes"] for part in first if part["arm"] == arm) for arm in {p["arm"] for p in first}}
     (scenes,) = {scene_count(part) for part in result["trained"].values()}
-    (each,) = {round(m) for m in minutes.values()}
+    (each,) = {round(m, 1) for m in minutes.values()}
+    height, width = result["settings"]["size"]
     lines = [
-        f"**Learned peers at equal training time.** One small network for one idea of the compared systems each, "
-        f"trained on the same {scenes} scenes for {each} minutes of one core, as were the networks of "
-        f"*{compare.EQUAL}*; *{compare.SHIPPED}* is the shipped system. {result['frames']} test scenes, "
-        "RMSE in millimetres, composed with the region that stage one predicts (*bare*: as the network paints it). "
-        "Stage one and the autoencoder are the shipped ones wherever they are used; their training is not counted.",
-        "",
-        "| method | optical, bare | optical | geometric | whole | optical, DITR at equal time over it |",
-        "|---|---:|---:|---:|---:|---:|",
+        f"**Learned peers at equal training time.** One small network for one idea of each compared system, trained "
+        f"on the same {scenes:,} scenes for {each:g} min of processor time, as were the networks of "
+        f"*{peer_tables.EQUAL}*; all at a working size of {width} x {height} pixels, in the same windows, "
+        f"with the same pretrained colour. *{peer_tables.SHIPPED}* is the shipped system. RMSE in millimetres, "
+        "composed with the region that stage one predicts. Stage one, the autoencoder and the encoder of colour are "
+        "the shipped ones wherever they are used; their training is not counted.",
     ]
-    for name in (compare.SHIPPED, compare.EQUAL, *compare.IDEAS):
-        cells = [f"{1000 * mean[n]['optical'][0]:.1f}" if n in mean else "–" for n in (f"{name}, bare", name)]
-        cells += [f"{1000 * mean[name][k][0]:.1f}" for k in ("geometric", "whole")]
-        lines.append(f"| {name} | " + " | ".join([*cells, format_interval(ratio[name]["optical"], 1, ".2f")]) + " |")
-    lines += ["", compare.ratio_verdict(result).replace("\n", ".\n") + ".", ""]
-    for step, before in (("+DP", "BB"), ("+RR", "+DP")):
-        changes = [
-            format_interval([100 * (v - 1) for v in r[step]["optical"]], 1, "+.0f") for r in result["ablation"].values()
-        ]
-        lines.append(f"{step} after {before}, optical, per training seed: {' and '.join(changes)} %.")
+    for split, part in result["splits"].items():
+        lines += ["", *peer_table(part, split)]
+    if result.get("real"):
+        lines += ["", "On real frames:", "", "```", peer_tables.format_real(result["real"]), "```"]
     if not is_current(result):
-        lines += ["", "These figures are of the weights of version 0.1.0: the arms have not been trained anew since."]
-    return "\n".join([*lines, "", f"Command: `{result['command']}`, after `tools/train_peer.py` for every arm."])
+        lines += ["", "Shipped rows and regions are of earlier weights than those in the folder."]
+    return "\n".join([*lines, "", f"Command: `{result['command']}`, after `python tools/train_peers.py`."])
+
+
+def peer_table(part: dict, split: str) -> list[str]:
+    """Return the lines about one split: the table, what it says, ablation and oracles."""
+    mean, ratio = part["mean"], part["ratio"]
+    about = f"{split}, {part['frames']} scenes"
+    lines = [
+        f"| {about} | idea | optical | geometric | whole | optical, DITR at equal time over it |",
+        "|---|---|---:|---:|---:|---:|",
+    ]
+    names = [peer_tables.SHIPPED, *peer_tables.with_seeds(mean, peer_tables.EQUAL, *peer_tables.IDEAS)]
+    for name in names:
+        cells = [f"{1000 * mean[name][k][0]:.1f}" for k in peer_tables.SETS]
+        cells.append(format_interval(ratio[name]["optical"], 1, ".2f"))
+        lines.append(f"| {name} | {peer_tables.IDEAS.get(name, '')} | " + " | ".join(cells) + " |")
+    lines += ["", peer_tables.ratio_verdict(part).replace("\n", ".\n") + ".", ""]
+    for before, step in peer_tables.LADDER:
+        changes = [
+            format_interval([100 * (v - 1) for v in r[step]["optical"]], 1, "+.0f") for r in part["ablation"].values()
+        ]
+        if changes:
+            lines.append(f"{step} after {before}, optical, per training seed: {' and '.join(changes)} %.")
+    return [*lines, "", "```", peer_tables.format_oracles(part), "```"]
 
 
 def costs(result: dict) -> str:
@@ -189,8 +203,8 @@ def main() -> None:
     frames = args.json.with_name("results_cleargrasp.json")
     if frames.is_file():
         made += "\n\n" + real(json.loads(frames.read_text(encoding="utf-8")))
-    if compare.RESULTS.is_file():
-        made += "\n\n" + peers(compare.load_results())
+    if peer_tables.RESULTS.is_file():
+        made += "\n\n" + peers(peer_tables.load_results())
     bench = args.json.with_name("results_bench.json")
     if bench.is_file():
         made += "\n\n" + costs(json.loads(bench.read_text(encoding="utf-8")))

@@ -69,7 +69,11 @@ def own_backend(backend: Backend) -> Backend:
     """Return a caller's boundary backend with a ValueError for anything but a map (h, w) bool of its picture's size."""
 
     def call(image: np.ndarray) -> np.ndarray:
-        found = np.asarray(backend(image))
+        found = backend(image)
+        try:
+            found = np.asarray(found)
+        except ValueError:  # ragged lists
+            raise ValueError(f"boundary: expected {image.shape[:2]} bool, got {type(found).__name__}") from None
         if found.shape != image.shape[:2] or found.dtype != bool:
             raise ValueError(
                 f"boundary: expected {image.shape[:2]} bool of a picture {image.shape}, got {found.shape} {found.dtype}"

@@ -194,10 +194,10 @@ def between(found: dict[str, Path]) -> dict[str, Path]:
 
 def read_job(job: Job, options: Namespace):
     """Return rgb, depth, region or None, camera or None, and the metres per unit of a PNG that is written."""
-    from ..files import read_depth, read_intrinsics, read_mask, read_rgb, unit_of
+    from ..files import read_depth_and_unit, read_intrinsics, read_mask, read_rgb
     from ..units import upsample_sparse
 
-    rgb, depth = read_rgb(job.rgb), read_depth(job.depth, options.depth_scale)
+    rgb, (depth, unit) = read_rgb(job.rgb), read_depth_and_unit(job.depth, options.depth_scale)
     region = read_mask(job.region) if job.region else None
     if options.upsample_depth and depth.shape != rgb.shape[:2]:
         depth = upsample_sparse(depth, rgb.shape[:2])
@@ -207,13 +207,14 @@ def read_job(job: Job, options: Namespace):
             advice = "if it is aligned, but of lower resolution, give --upsample-depth" if small else "align them first"
             raise ValueError(f"{path} is {array.shape}, {job.rgb} {rgb.shape[:2]} (height, width): {advice}")
     camera = read_intrinsics(options.intrinsics, rgb.shape[:2]) if options.intrinsics else None
-    return rgb, depth, region, camera, unit_of(job.depth, options.depth_scale)
+    return rgb, depth, region, camera, unit
 
 
 def complete(system, frame, options: Namespace):
     """Let the system complete a frame."""
     rgb, depth, region, *_ = frame
-    return system(rgb, depth, region, options.steps, options.samples, options.adjust, options.seed)
+    how = {"steps": options.steps, "samples": options.samples, "seed": options.seed}
+    return system(rgb, depth, region, adjust=options.adjust, **how)
 
 
 def write_job(job: Job, frame, completion, options: Namespace) -> None:

@@ -91,11 +91,19 @@ class Bench:
             "--runs", type=whole(), default=7, help="runs of a stage whose median is taken, 5 or more (%(default)s)"
         )
         p.add_argument("--no-cost", action="store_true", help="only score, measure no time and memory")
+        p.add_argument(
+            "--peers",
+            action="store_true",
+            help="only print the committed table of peers at equal training time",
+        )
         add_scoring(p)
 
     @staticmethod
     def run(options: Namespace) -> None:
         """Print the tables."""
+        if options.peers:
+            print(peer_table())
+            return
         check_results(options.json)
         from ..baselines import REGISTRY
         from ..evaluation import scoring, timing
@@ -259,7 +267,7 @@ def within_its_lines(name: str, method: Callable) -> Callable:
             return method(*given)
         except (ValueError, KeyboardInterrupt):
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             package = str(Path(__file__).parents[1])
             own = [step for step in traceback.extract_tb(error.__traceback__) if not step.filename.startswith(package)]
             where = f"{Path(own[-1].filename).name}, line {own[-1].lineno}: " if own else ""
@@ -284,6 +292,14 @@ def against_best(results: Sequence[dict], name: str, baselines: Sequence[str]) -
         interval = paired_bootstrap(rmse[name], rmse[best])
         lines.append(f"  {key}: {format_interval(interval, 1000, '+.1f')} against {best}")
     return "\n".join(lines)
+
+
+def peer_table() -> str:
+    """Return the committed results of the peers as text, with the command that makes them anew."""
+    from ..studies import peer_tables
+
+    report = peer_tables.load_results()
+    return f"{peer_tables.format_study(report)}\n\nCommand: {report['command']}, after python tools/train_peers.py"
 
 
 def add_frames(p: ArgumentParser) -> None:

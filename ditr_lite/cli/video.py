@@ -6,6 +6,7 @@ long as its neighbourhood looks the same; where colour or readings change by mor
 """
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -40,17 +41,18 @@ class Steady:
         rgb: np.ndarray,
         depth: np.ndarray,
         region: np.ndarray | None = None,
-        steps: int | None = None,
-        samples: int | None = None,
         adjust: bool = False,
-        seed: int = 0,
+        **how: Any,
     ) -> Completion:
-        """Complete the next frame; arguments and result are those of :class:`pipeline.Ditr`."""
+        """Complete the next frame; arguments and result are those of :class:`pipeline.Ditr`.
+
+        ``how`` are its ``steps``, ``samples`` and ``seed``.
+        """
         same = self._compare(rgb, depth)
         probability = None
         if region is None:
             probability, region = self._find_region(rgb, depth, same)
-        out = self.ditr(rgb, depth, region, steps, samples, adjust, seed)
+        out = self.ditr(rgb, depth, region, adjust=adjust, **how)
         fresh = np.where(region, out.optical, out.geometric)
         if self.region is not None:
             same &= self.region == region  # what another branch painted is not averaged with

@@ -26,8 +26,8 @@ def score_stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, fl
         "miss_rate": metrics.miss_rate(out.region, sample.region),
         "area_ratio": metrics.area_ratio(out.region, refined),
     }
-    if sample.material is not None:
-        scores |= class_scores(class_map(ditr, sample.rgb, sample.depth), sample.material)
+    if sample.material is not None and out.classes is not None:
+        scores |= class_scores(out.classes, sample.material)
     return scores
 
 
@@ -39,10 +39,7 @@ def class_map(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray) -> np.ndarray:
         rgb: (H, W, 3) uint8.
         depth: (H, W) float32 metres, raw.
     """
-    frame, classes = ditr.classify(rgb, depth)  # (3, h, w)
-    claimed = 1 - classes[0] > ditr.config.refine.threshold
-    found = np.where(claimed, 1 + classes[1:].argmax(axis=0), 0)
-    return sum(np.uint8(code) * frame.back(found == code) for code in CLASSES.values())
+    return ditr.claim(rgb, depth).class_map()
 
 
 def class_scores(found: np.ndarray, material: np.ndarray) -> dict[str, float | None]:

@@ -254,7 +254,7 @@ def check_perplexity(attempt: Function) -> bool:
 def check_calibrate(attempt: Function) -> bool:
     """Check ``attempt(z (B, C, h, w)) -> (2, C)``: shift and scale with which (z - shift) * scale is standardised.
 
-    The deviation has n - 1 in the denominator, as torch's.
+    The standard deviation has n - 1 in the denominator, as torch's.
     """
 
     def right(z):
@@ -269,10 +269,12 @@ def check_calibrate(attempt: Function) -> bool:
         return z.std(axis=(0, 2, 3), ddof=1)
 
     mistakes = {
-        "the scale multiplies: it is 1 / deviation": lambda z: per_channel(z, deviation),
-        "divide by the deviation, not by the variance": lambda z: per_channel(z, lambda z: 1 / deviation(z) ** 2),
-        "n - 1, not n, in the deviation": lambda z: per_channel(z, lambda z: 1 / z.std(axis=(0, 2, 3))),
-        "each channel has its own mean and deviation": lambda z: np.stack(
+        "the scale multiplies: it is 1 / standard deviation": lambda z: per_channel(z, deviation),
+        "divide by the standard deviation, not by the variance": lambda z: per_channel(
+            z, lambda z: 1 / deviation(z) ** 2
+        ),
+        "n - 1, not n, in the standard deviation": lambda z: per_channel(z, lambda z: 1 / z.std(axis=(0, 2, 3))),
+        "each channel has its own mean and standard deviation": lambda z: np.stack(
             [np.full(z.shape[1], z.mean()), np.full(z.shape[1], 1 / z.std(ddof=1))]
         ),
         "the shift is subtracted: no minus": lambda z: per_channel(z, lambda z: 1 / deviation(z)) * [[-1], [1]],

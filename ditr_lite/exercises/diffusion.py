@@ -38,7 +38,9 @@ def check_q_sample(attempt: Function) -> bool:
 
     mistakes = {
         "that is Eq. 7 as printed: only noise, whatever the step": lambda x, e, a: e,
-        "both square roots are missing: that mixes variances, not deviations": lambda x, e, a: a * x + (1 - a) * e,
+        "both square roots are missing: that mixes variances, not standard deviations": lambda x, e, a: (
+            a * x + (1 - a) * e
+        ),
         "the square root on the signal is missing": lambda x, e, a: a * x + (1 - a) ** 0.5 * e,
         "the square root on the noise is missing": lambda x, e, a: a**0.5 * x + (1 - a) * e,
         "signal and noise are swapped": lambda x, e, a: right(e, x, a),
@@ -58,7 +60,9 @@ def check_eps_from_x0(attempt: Function) -> bool:
 
     mistakes = {
         "that is Eq. 9 as printed: divide by the noise level sqrt(1 - abar)": lambda x, y, a: x - a**0.5 * y,
-        "divide by the deviation sqrt(1 - abar), not by the variance": lambda x, y, a: (x - a**0.5 * y) / (1 - a),
+        "divide by the standard deviation sqrt(1 - abar), not by the variance": lambda x, y, a: (
+            (x - a**0.5 * y) / (1 - a)
+        ),
         "the square root on the signal is missing": lambda x, y, a: (x - a * y) / (1 - a) ** 0.5,
         "the signal is added; it must be taken away": lambda x, y, a: (x + a**0.5 * y) / (1 - a) ** 0.5,
         "x0 must be scaled by sqrt(abar) before it is taken away": lambda x, y, a: (x - y) / (1 - a) ** 0.5,
@@ -206,7 +210,7 @@ def check_ddim_variance(attempt: Function) -> bool:
         return (s**2 / (a * s**2 + 1 - a) if start is None else start(s, a)) * product
 
     mistakes = {
-        "that is the factor on x or its deviation: square the cosines": lambda s, b: by_angles(s, b, power=1),
+        "that is the factor on x or its standard deviation: square the cosines": lambda s, b: by_angles(s, b, power=1),
         "that is a standard deviation; the variance is wanted": lambda s, b: right(s, b) ** 0.5,
         "s is missing in the angle: tan(phi) = sqrt(1 - abar) / (sqrt(abar) s)": lambda s, b: by_angles(
             s, b, tangent=lambda a, s: math.atan2((1 - a) ** 0.5, a**0.5)

@@ -1,227 +1,271 @@
-"""DITR beside its learned peers at equal training time, its ablation, and what each part of its error is due to.
+"""Score DITR, its learned peers, its ablation and its oracles: same frames, same region from stage one, same pixels.
 
-Paper: Tables I to III (compared systems) and IV (ablation: BB, +DP, +RR). ``tools/peer_study.py`` runs everything on
-one split at once: same frames, same region from stage one, same pixels.
+Every row is kept in a file of its own as soon as it is complete, with a checksum of what it depends on: what is asked
+again costs nothing, and after a change of weights only what depends on them is computed anew.
 """
 
-import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+import hashlib
+import importlib.util
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm.auto import tqdm
 
 from .. import metrics
 from ..baselines import REGISTRY
-from ..config import from_dict
+from ..config import RefineConfig
 from ..data import Sample
-from ..evaluation.statistics import bootstrap_mean, format_interval, paired_bootstrap, ratio_bootstrap
-from ..paper.tables import T1, T4, T5
-from ..pipeline import Completion, Ditr, build, compose
-from ..store import WEIGHTS, load_part, load_parts, read_card
+from ..files import read_json, write_depth, write_json
+from ..pipeline import Ditr, compose
+from ..store import read_card
 from ..studies.floor import reconstruct
+from ..studies.peer_tables import EQUAL, IDEAS, SETS, SHIPPED
 from ..studies.swaps import SWAPS, Swapped
-from .networks import load_peers
+from ..windows import fit_frame
+from . import system
 
-RESULTS = WEIGHTS / "results_peers.json"
-SETS = ("optical", "geometric", "whole")
-SHIPPED, EQUAL = "ditr", "ditr, equal time"
-ORACLES = {  # what is put in the place of one part of the shipped system
-    "true region": "stage one never errs",
-    "no detail network": "the branches as decoded",
-    "truth through the autoencoder": "denoisers never err",
-    "one sample": "no averaging",
-    "sixteen samples": "four times the averaging",
-}
-IDEAS = {  # peer -> its idea, and the systems of Tables I to III that have it
-    "regression": "one U-Net from colour and raw depth to depth (DFNet)",
-    "rgb_only": "depth from colour alone, in metres (DenseDepth, SRD, MiDaS)",
-    "rgb_only_aligned": "the same, scaled and shifted to the readings (MiDaS)",
-    "normals_optimisation": "predict orientation and edges, then solve for depth (DeepCompletion, ClearGrasp)",
-    "two_stream_confidence": "a prediction and the sensor, blended by learnt confidence (SwinDRNet)",
-    "single_latent_diffusion": "one latent denoiser for the whole frame (LDM; BB)",
-}
-PAPER = {  # pixel set -> the paper's RMSE of DITR over that of DFNet, and the table that it is from; both are rounded
-    "optical": (T5.records()["DITR"]["optical.rmse"] / T5.records()["DFNet"]["optical.rmse"], "Table V, optical"),
-    "whole": (T1.records()["DITR"]["rmse"] / T1.records()["DFNet"]["rmse"], "Table I, overall"),
-}
-Method = Callable[[Sample, Completion], np.ndarray]  # frame and shipped completion -> depth
+NEED_TRUTH = (  # rows that cannot be asked about a frame without truth
+    *("true region", "truth through the autoencoder", "equal time, true region", "truth at the working size"),
+)
+MOVED_M = 0.02  # a reading that moved by more was thrown away
+Row = dict[str, float | None]
 
 
-def arm_system(folder: Path | str, arm: str, seed: int) -> Ditr:
-    """Return a system of the shipped stage one and autoencoder with the branches of an arm ("dp", "ditr").
+@dataclass(frozen=True)
+class Found:
+    """What stage one found in a frame, (H, W) bool each: the region, and the mask before refinement."""
 
-    Raises:
-        ValueError: when the arm has not been trained.
-    """
-    config = from_dict(read_card(folder)["config"])
-    if arm == "dp":
-        config = replace(config, detail=replace(config.detail, width=0))
-    parts, (_, shipped) = build(config), load_parts()
-    for name, module in parts.items():
-        own = name in ("optical", "geometric", "detail")
-        module.load_state_dict(load_part(f"{arm}_{name}-{seed}", folder) if own else shipped[name])
-    return Ditr(parts, config)
+    region: np.ndarray
+    unrefined: np.ndarray
 
 
-def methods(ditr: Ditr, folder: Path | str, seeds: Sequence[int] = (0, 1)) -> dict[str, Method]:
-    """Return every method of the study: the shipped system with its oracles, baselines, peers, ablation, equal time.
+Method = Callable[[Sample, Found], np.ndarray]  # -> depth (H, W) metres
+
+
+def find(ditr: Ditr, sample: Sample) -> Found:
+    """Run stage one of the shipped system."""
+    _, region = ditr.find_region(sample.rgb, sample.depth)
+    _, unrefined = ditr.find_region(sample.rgb, sample.depth, refine=RefineConfig(0, 0, 0))
+    return Found(region, unrefined)
+
+
+def methods(ditr: Ditr, folder: Path | str) -> dict[str, tuple[Method, str]]:
+    """Return row -> method and a checksum of what it depends on, beside the frames.
 
     Args:
         ditr: the shipped system.
-        folder: weights of peers and arms.
-        seeds: of BB and +DP.
+        folder: weights of the arms, as ``tools/train_peers.py`` writes them.
 
     Raises:
-        ValueError: when something has not been trained.
+        ValueError: when DITR has not been trained there: everything is compared with it.
     """
-    plain = Swapped(ditr, SWAPS["no detail"])
-    rows: dict[str, Method] = {
-        SHIPPED: lambda s, out: out.depth,
-        "true region": lambda s, out: ditr(s.rgb, s.depth, s.region).depth,
-        "no detail network": lambda s, out: plain.paint(s, out.region),
-        "truth through the autoencoder": _composed(lambda s, out: reconstruct(ditr.parts["autoencoder"], s)[0]),
-        "one sample": lambda s, out: ditr(s.rgb, s.depth, out.region, samples=1).depth,
-        "sixteen samples": lambda s, out: ditr(s.rgb, s.depth, out.region, samples=16).depth,
-    }
-    for name, method in REGISTRY.items():
-        rows[name] = _composed(lambda s, out, method=method: method(s.rgb, s.depth, out.region))
-    for name, peer in load_peers(folder).items():
-        rows[f"{name}, bare"] = lambda s, out, peer=peer: peer(s.rgb, s.depth)
-        rows[name] = _composed(lambda s, out, peer=peer: peer(s.rgb, s.depth, out.region))
-    equal = arm_system(folder, "ditr", 0)
-    rows[EQUAL] = lambda s, out: equal(s.rgb, s.depth, out.region).depth
-    for seed in seeds:
-        single, two = load_peers(folder, seed)["single_latent_diffusion"], arm_system(folder, "dp", seed)
-        rows[f"BB, seed {seed}"] = lambda s, out, single=single: single(s.rgb, s.depth)
-        rows[f"+DP, seed {seed}"] = lambda s, out, two=two: two(s.rgb, s.depth, out.probability > 0.5).depth
-        rows[f"+RR, seed {seed}"] = lambda s, out, two=two: two(s.rgb, s.depth, out.region).depth
+    arms = system.trained(folder)
+    if "ditr" not in arms:
+        raise ValueError(f"{folder} holds no trained 'ditr': run `python tools/train_peers.py` first")
+    shipped = _key(*(part["sha256"] for part in read_card()["parts"].values()))
+    stage_one = read_card()["parts"]["region"]["sha256"]
+    parts = read_card(folder)["parts"]
+
+    def arm_key(arm: str, seed: int) -> str:
+        own = [part["sha256"] for n, part in parts.items() if part.get("arm") == arm and part["seed"] == seed]
+        if arm == system.ALIGNED:
+            own = [parts[f"rgb_only-{seed}"]["sha256"]]
+        return _key(stage_one, *own)
+
+    rows: dict[str, tuple[Method, str]] = {}
+    for seed in arms["ditr"]:
+        name = EQUAL if seed == 0 else f"{EQUAL}, seed {seed}"
+        rows[name] = (_arm(folder, "ditr", seed), arm_key("ditr", seed))
+    for peer in IDEAS:
+        for seed in arms.get(peer, ()):
+            rows[peer if seed == 0 else f"{peer}, seed {seed}"] = (_arm(folder, peer, seed), arm_key(peer, seed))
+    for seed in sorted(set(arms.get("bb", ())) & set(arms.get("dp", ()))):
+        rows[f"BB, seed {seed}"] = (_backbone(folder, seed), arm_key("bb", seed))
+        rows[f"+DP, seed {seed}"] = (_arm(folder, "dp", seed, unrefined=True), arm_key("dp", seed))
+        rows[f"+RR, seed {seed}"] = (_arm(folder, "dp", seed), arm_key("dp", seed))
+    for name, oracle in equal_oracles(folder).items():
+        rows[name] = (oracle, arm_key("ditr", 0))
+    for name, fill in REGISTRY.items():
+        rows[name] = (partial(_baseline, fill), stage_one)
+    for name, oracle in shipped_methods(ditr).items():
+        rows[name] = (oracle, shipped)
     return rows
 
 
-def _composed(method: Method) -> Method:
-    def composed(s: Sample, out: Completion) -> np.ndarray:
-        filled = method(s, out)
-        return compose(s.depth, filled, filled, out.region)
+def shipped_methods(ditr: Ditr) -> dict[str, Method]:
+    """Return the shipped system and its oracles."""
+    plain = Swapped(ditr, SWAPS["no detail"])
 
-    return composed
+    def floor(sample: Sample, found: Found) -> np.ndarray:
+        painted = reconstruct(ditr.parts["autoencoder"], sample)[0]
+        return compose(sample.depth, painted, painted, found.region)
+
+    return {
+        SHIPPED: lambda s, found: ditr(s.rgb, s.depth, found.region).depth,
+        "true region": lambda s, found: ditr(s.rgb, s.depth, s.region).depth,
+        "no detail network": lambda s, found: plain.paint(s, found.region),
+        "truth through the autoencoder": floor,
+        "one sample": lambda s, found: ditr(s.rgb, s.depth, found.region, samples=1).depth,
+        "sixteen samples": lambda s, found: ditr(s.rgb, s.depth, found.region, samples=16).depth,
+    }
 
 
-def score_methods(frames, ditr: Ditr, rows: Mapping[str, Method]) -> dict[str, dict[str, dict[str, float | None]]]:
-    """Return frame -> method -> pixel set -> RMSE in metres; stage one runs once a frame and serves all."""
-    scores = {}
-    for sample in frames:
-        out = ditr(sample.rgb, sample.depth)
-        scores[sample.name] = {}
-        for name, method in rows.items():
-            found = metrics.evaluate(method(sample, out), sample.depth_gt, sample.region, sample.depth)
-            scores[sample.name][name] = {k: found[k] and round(found[k]["rmse"], 6) for k in SETS}
+def equal_oracles(folder: Path | str) -> dict[str, Method]:
+    """Return oracles of DITR at equal time."""
+    loaded = _Once(folder, "ditr", 0)
+
+    def plain(sample: Sample, found: Found) -> np.ndarray:
+        return Swapped(loaded(), SWAPS["no detail"]).paint(sample, found.region)
+
+    def size(sample: Sample, found: Found) -> np.ndarray:
+        frame = fit_frame(sample.depth.shape, loaded().config.size)
+        painted = frame.back(frame.into(sample.depth_gt))
+        painted = np.where(painted > 0, painted, 1.0)  # where no truth is known nothing is scored
+        return compose(sample.depth, painted, painted, found.region)
+
+    return {
+        "equal time, true region": lambda s, found: loaded()(s.rgb, s.depth, s.region).depth,
+        "equal time, no detail network": plain,
+        "truth at the working size": size,
+    }
+
+
+class _Once:
+    """An arm that is loaded when it is first called for."""
+
+    def __init__(self, folder: Path | str, arm: str, seed: int):
+        self.given, self.loaded = (folder, arm, seed), None
+
+    def __call__(self) -> Ditr:
+        if self.loaded is None:
+            self.loaded = system.load_arm(*self.given)
+        return self.loaded
+
+
+def _arm(folder: Path | str, arm: str, seed: int, unrefined: bool = False) -> Method:
+    loaded = _Once(folder, arm, seed)
+
+    def call(sample: Sample, found: Found) -> np.ndarray:
+        return loaded()(sample.rgb, sample.depth, found.unrefined if unrefined else found.region).depth
+
+    return call
+
+
+def _backbone(folder: Path | str, seed: int) -> Method:
+    """Return BB: no stage one, no partition; the whole frame is painted, readings included."""
+    loaded = _Once(folder, "bb", seed)
+    return lambda s, _: loaded()(s.rgb, s.depth, np.zeros(s.depth.shape, bool), adjust=True).depth
+
+
+def _baseline(fill: Callable, sample: Sample, found: Found) -> np.ndarray:
+    filled = fill(sample.rgb, sample.depth, found.region)
+    return compose(sample.depth, filled, filled, found.region)
+
+
+def _key(*checksums: str) -> str:
+    return hashlib.sha256("".join(sorted(checksums)).encode()).hexdigest()[:16]
+
+
+def score_rows(
+    rows: Mapping[str, tuple[Method, str]],
+    frames: Sequence[tuple[Sample, Found]],
+    folder: Path | str,
+    measure: Callable[[np.ndarray, Sample], Row],
+) -> dict[str, dict[str, Row]]:
+    """Return frame -> row -> scores; a row that is in ``folder`` already, of the same frames and weights, is read.
+
+    Args:
+        rows: as :func:`methods` returns them.
+        frames: with what stage one found in each.
+        folder: for one file a row.
+        measure: completed depth and frame -> scores.
+    """
+    scores: dict[str, dict[str, Row]] = {sample.name: {} for sample, _ in frames}
+    for name, (method, key) in tqdm(rows.items(), desc="methods", unit="method"):
+        file = Path(folder) / f"{name.replace(' ', '_').replace(',', '')}.json"
+        kept = read_json(file) if file.is_file() else {"key": None, "scores": {}}
+        same = kept["key"] == key
+        own = {s.name: kept["scores"][s.name] for s, _ in frames if same and s.name in kept["scores"]}
+        left = [(s, found) for s, found in frames if s.name not in own]
+        for sample, found in left:
+            own[sample.name] = measure(method(sample, found), sample)
+        if left:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_json(file, {"key": key, "scores": {**(kept["scores"] if same else {}), **own}})
+        for frame, row in own.items():
+            scores[frame][name] = row
     return scores
 
 
-def summarise_peers(scores: Mapping[str, Mapping[str, Mapping[str, float | None]]]) -> dict[str, Any]:
-    """Return means, ratios and differences with 95 % intervals over frames, from :func:`score_methods`'s result.
+def paint_failures(
+    rows: Mapping[str, tuple[Method, str]],
+    frames: Sequence[tuple[Sample, Found]],
+    failures: Mapping[str, str],
+    folder: Path | str,
+) -> None:
+    """Write what each peer completes of its worst frame (peer -> frame) as ``folder/PEER.png``, in millimetres."""
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    by_name = {sample.name: (sample, found) for sample, found in frames}
+    for peer, frame in failures.items():
+        write_depth(Path(folder) / f"{peer}.png", rows[peer][0](*by_name[frame]))
 
-    Returns:
-        ``mean``: method -> set -> [mean, low, high] in metres; ``ratio``: method -> set -> mean of DITR at equal time
-        over that of the method; ``minus_ditr``: method -> set -> [difference to the shipped system]; ``ablation``:
-        seed -> step -> set -> [relative change of the mean].
+
+def score_rendered(depth: np.ndarray, sample: Sample) -> Row:
+    """Return the RMSE in metres on each pixel set of a frame whose region is known."""
+    found = metrics.evaluate(depth, sample.depth_gt, sample.region, sample.depth)
+    return {key: found[key] and round(found[key]["rmse"], 6) for key in SETS}
+
+
+def score_real(depth: np.ndarray, sample: Sample) -> Row:
+    """Return the scores of a real frame: as :func:`score_rendered`, or without truth the share of pixels that moved.
+
+    Pixels of the region, where it is known, may move.
     """
-    names = list(next(iter(scores.values())))
-    column = {n: {k: [frame[n][k] for frame in scores.values()] for k in SETS} for n in names}
-    out: dict[str, Any] = {"mean": {n: {k: bootstrap_mean(column[n][k]) for k in SETS} for n in names}}
-    if EQUAL in names:
-        out["ratio"] = {n: {k: ratio_bootstrap(column[EQUAL][k], column[n][k]) for k in SETS} for n in names}
-    out["minus_ditr"] = {n: {k: paired_bootstrap(column[n][k], column[SHIPPED][k]) for k in SETS} for n in names}
-    seeds = [n.removeprefix("BB, seed ") for n in names if n.startswith("BB, seed ")]
-    out["ablation"] = {
-        seed: {
-            after: {
-                k: ratio_bootstrap(column[f"{after}, seed {seed}"][k], column[f"{before}, seed {seed}"][k])
-                for k in SETS
-            }
-            for before, after in (("BB", "+DP"), ("+DP", "+RR"))
-        }
-        for seed in seeds
-    }
-    return out
+    if sample.depth_gt is not None:
+        return score_rendered(depth, sample)
+    moved = (sample.depth > 0) & (np.abs(depth - sample.depth) > MOVED_M)
+    if sample.region is not None:
+        moved &= ~sample.region
+    return {"moved": round(float(moved.mean()), 6)}
 
 
-def load_results(path: Path | str = RESULTS) -> dict[str, Any]:
-    """Read what ``tools/peer_study.py`` wrote."""
-    return json.loads(Path(path).read_text(encoding="utf-8"))
-
-
-def by_seed(report: Mapping[str, Any], step: str, key: str) -> np.ndarray:
-    """Return the errors (S, N) in metres of a step of the ablation: its training seeds by frames that hold such pixels.
+def frames_of_file(file: Path | str) -> list[Sample]:
+    """Return the frames that a Python file of the reader's own yields.
 
     Args:
-        report: what ``tools/peer_study.py`` wrote.
-        step: ``BB``, ``+DP`` or ``+RR``.
-        key: pixel set.
+        file: defines ``frames()``, a generator of (name, rgb (H, W, 3) uint8, raw depth (H, W) metres, true depth or
+            None, region (H, W) bool or None).
+
+    Raises:
+        ValueError: when there is no such file or function.
     """
-    names = [f"{step}, seed {seed}" for seed in report["ablation"]]
-    rows = [[frame[n][key] for n in names] for frame in report["rmse_m"].values()]
-    return np.array([row for row in rows if None not in row]).T
+    file = Path(file)
+    if not file.is_file():
+        raise ValueError(f"{file}: no such file; it should define frames(), see peers.compare.frames_of_file")
+    spec = importlib.util.spec_from_file_location("frames_of_file", file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if not callable(getattr(module, "frames", None)):
+        raise ValueError(f"{file} defines no frames()")
+    return [_sample(*given) for given in module.frames()]
 
 
-def ratio_verdict(report: Mapping[str, Any]) -> str:
-    """Say where the paper's ratio to DFNet lies beside ours, of DITR at equal time to regression and to the best peer.
-
-    Like is set beside like: *whole* beside the paper's overall, *optical* beside its optical ratio (:data:`PAPER`).
-    """
-    mean, lines = report["mean"], []
-    best = min((n for n in IDEAS if n in mean), key=lambda n: mean[n]["optical"][0])
-    for name in dict.fromkeys(("regression", best)):
-        for key, (paper, table) in PAPER.items():
-            middle, low, high = report["ratio"][name][key]
-            told = "smaller" if high < 1 else "larger" if low > 1 else "not measurably different"
-            lies = "below" if paper < low else "above" if paper > high else "inside"
-            lines.append(
-                f"DITR's {key} error at equal time is {told}: {middle:.2f} [{low:.2f}, {high:.2f}] times that of "
-                f"{name}; the paper's {paper:.2f} to DFNet ({table}) lies {lies} our interval"
-            )
-    return "\n".join(lines)
+def _sample(name: str, rgb: np.ndarray, raw: np.ndarray, truth: np.ndarray | None, region: np.ndarray | None) -> Sample:
+    raw = np.where(np.isfinite(raw) & (raw > 0), raw, 0).astype(np.float32)
+    return Sample(name=name, rgb=rgb, depth=raw, depth_gt=truth, region=region, camera=None)
 
 
-def format_peers(report: Mapping[str, Any]) -> str:
-    """Return the table of peers: RMSE in mm bare and composed, and DITR at equal time over the composed peer."""
-    mean, ratio = report["mean"], report["ratio"]
-    lines = ["RMSE mm, mean over frames".ljust(32) + "".join(k.rjust(11) for k in SETS) + "   optical, DITR : it"]
-    chosen = [SHIPPED, EQUAL, *[n for n in mean if f"{n}, bare" in mean or n.endswith(", bare")]]
-    chosen += [n for n in REGISTRY if n in mean]
-    for name in chosen:
-        lines.append(name.ljust(32) + _cells(mean[name]) + f"   {format_interval(ratio[name]['optical'], 1, '.2f')}")
-    return "\n".join(lines)
+def frames_of(ditr: Ditr, samples: Iterable[Sample], count: int | None = None) -> list[tuple[Sample, Found]]:
+    """Return frames with what stage one finds in each."""
+    return [(s, find(ditr, s)) for s in tqdm(samples, desc="stage one", unit="frame", total=count)]
 
 
-def format_ablation(report: Mapping[str, Any]) -> str:
-    """Return the ablation: RMSE in mm of each step and seed, and the relative changes of the mean that it made."""
-    told = T4.records()
-    falls = [100 * (told[b]["rmse"] / told[a]["rmse"] - 1) for a, b in (("BB", "BB + DP"), ("BB + DP", "BB + DP + RR"))]
-    paper = " (Table IV: {:.0f} %, {:.0f} %)".format(*falls)
-    heads = "optical, change".rjust(22) + "whole, change".rjust(22) + paper
-    lines = ["RMSE mm".ljust(16) + "".join(k.rjust(11) for k in SETS) + heads]
-    for seed, steps in report["ablation"].items():
-        for step in ("BB", "+DP", "+RR"):
-            change = steps.get(step)
-            texts = (
-                [format_interval([100 * (v - 1) for v in change[k]], 1, "+.0f") + " %" for k in PAPER] if change else []
-            )
-            row = f"{step}, seed {seed}".ljust(16) + _cells(report["mean"][f"{step}, seed {seed}"])
-            lines.append(row + "".join(text.rjust(22) for text in texts))
-    return "\n".join(lines)
-
-
-def format_oracles(report: Mapping[str, Any]) -> str:
-    """Return what the shipped system would score with one part replaced, and the difference that makes."""
-    lines = ["RMSE mm".ljust(32) + "".join(k.rjust(11) for k in SETS) + "   optical, minus shipped"]
-    for name in (SHIPPED, *ORACLES):
-        change = format_interval(report["minus_ditr"][name]["optical"], 1000, "+.1f")
-        lines.append(name.ljust(32) + _cells(report["mean"][name]) + f"   {change}  {ORACLES.get(name, '')}")
-    return "\n".join(lines)
-
-
-def _cells(row: Mapping[str, Sequence[float]]) -> str:
-    return "".join(f"{1000 * row[k][0]:11.1f}" for k in SETS)
+def trained_notes(folder: Path | str) -> dict[str, Any]:
+    """Return, per network, what of the arms' card belongs into a results file."""
+    keys = ("arm", "minutes", "cpu_seconds", "seed", "steps", "scenes", "parameters", "sha256")
+    parts = read_card(folder)["parts"]
+    return {name: {k: part[k] for k in keys} for name, part in parts.items() if "arm" in part}

@@ -1,24 +1,24 @@
-"""Train DITR's peers, and the arms of its ablation, for a given time on a given number of scenes.
+"""Train DITR, its peers and the arms of its ablation for the same time on the same scenes.
 
-Equal time is the condition of the comparison: M minutes of one core for the training steps of each arm (loading and
-rendering are not counted). So the number of steps follows from the processor time that one takes. All arms see the same
-scenes with the same augmentation and are handed the shipped autoencoder. An arm of several networks shares the minutes
-out:
+Equal time is the condition of the comparison: M minutes of processor time for the training steps of each arm, drawing
+of batches included. So the number of steps follows from the processor time that one takes; how busy the machine is does
+not matter. All arms see the same scenes with the same augmentation and are handed the same autoencoder and encoder of
+colour. An arm of several networks shares the minutes out:
 
-==========  ==================================================================================================
-arm         networks and their share of the time
-==========  ==================================================================================================
-a peer      itself, all of it
-dp          "+DP" of Table IV: the optical and the geometric branch, one half each
-ditr        the whole recipe: optical, geometric and the detail network
-==========  ==================================================================================================
+=======================  ===========================================================================================
+arm                      networks and their share of the time
+=======================  ===========================================================================================
+a peer                   itself, all of it; windows and whole frames in turn, as it must paint both
+bb                       "BB" of Table IV: one denoiser, whole frames only
+dp                       "+DP" of Table IV: the optical and the geometric branch, one half each
+ditr                     the whole recipe: optical, geometric and the detail network
+=======================  ===========================================================================================
 """
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,100 +28,169 @@ from torch import Tensor, nn
 
 from ..boundary import Backend, get_backend
 from ..conditioning import condition
-from ..config import Config, preset
+from ..config import Config, override, preset
+from ..data import Sample
 from ..files import write_json
+from ..metrics import rmse
 from ..pipeline import build
 from ..schedule import make_schedule
-from ..stage_two import BRANCHES, Painter
-from ..store import WEIGHTS, load_part, save_part
+from ..stage_two import BRANCHES, Views
+from ..store import WEIGHTS, copy_part, read_card, save_part
 from ..training import recipes
-from ..training.batches import Batch, draw_frames
-from ..training.loop import Losses, Recipe, Share, Step, fit
+from ..training.batches import Batch
+from ..training.loop import Recipe, fit
 from ..training.parts import painter_of
 from ..training.scenes import Pool, checksum, first, load_scenes
-from . import networks
+from . import system
+from .ideas import IDEAS, Idea
 
 ARMS = {
-    **{name: {name: 1.0} for name in networks.NAMES},
-    "dp": {"optical": 0.5, "geometric": 0.5},
     "ditr": {"optical": 0.42, "geometric": 0.25, "detail": 0.33},
+    "bb": {"bb": 1.0},
+    "dp": {"optical": 0.5, "geometric": 0.5},
+    **{name: {name: 1.0} for name in (*IDEAS, "single_latent_diffusion")},
 }
-RECIPE = Recipe(steps=1, batch=8, lr=1e-3)  # the steps follow from the time
-OWN = (*BRANCHES, "detail")  # DITR's own networks
-GIVEN = ("autoencoder", "encoder")  # what every arm is handed
+TWICE = ("ditr", "bb", "dp")  # arms that are trained with two seeds, beside the best two peers
+RECIPE = Recipe(steps=1, batch=4, lr=1e-3)  # the steps follow from the time
 TIMED_SCENES = 16  # are enough to time a step on
+ROUNDS = 7  # over all networks when steps are timed; the median counts
+EVERY = 100  # steps between checkpoints
 Times = dict[str, float]
-EDGE = 0.02  # a step of log depth between neighbours, 2 % of the depth, is an occlusion boundary
+
+
+def peer_config() -> Config:
+    """Return the sizes of the arms: the lite preset at half its working size, with a denoiser of the peers' size.
+
+    A few minutes of one core are few steps at full size. One draw is painted, not the mean of several.
+    """
+    settings = {"size": (96, 128), "window": 96, "unet.width": 16, "sampler.samples": 1}
+    return replace(override(preset("lite"), **settings), name="peers")
 
 
 def train_peers(
     arm: str,
     minutes: float,
-    seed: int = 0,
-    data: Path | str | Sequence[Path | str] = ("outputs/scenes/train", "outputs/scenes/rooms_train"),
-    out: Path | str = "outputs/peers",
-    work: Path | str = "outputs/training/peers",
-    limit: int | None = 600,
+    seed: int,
+    pool: Pool,
+    out: Path | str,
+    work: Path | str,
     config: Config | None = None,
     weights: Path | str = WEIGHTS,
 ) -> dict[str, Any]:
     """Train all networks of an arm and write each as ``out/NAME-SEED.safetensors``; a stopped run goes on.
 
+    A network that is there already, of the same scenes and time, is left as it is.
+
     Args:
         arm: one of :data:`ARMS`.
         minutes: of processor time for training steps.
         seed: of everything random.
-        data: folder of rendered scenes, or several, drawn from by their number of scenes.
-        out: weights folder of the peers.
+        pool: of the scenes to train on.
+        out: weights folder of the arms; what they are given is copied there first.
         work: for checkpoints.
-        limit: use only the first scenes of each folder.
-        config: sizes; the lite preset by default.
+        config: sizes; :func:`peer_config` by default.
         weights: folder that holds the autoencoder, and the colour encoder if the sizes ask for one.
 
     Returns:
         network -> its entry in the card.
 
     Raises:
-        ValueError: for an unknown arm, a time that is not positive, no scenes, or no autoencoder.
+        ValueError: for an unknown arm, a time that is not positive, no autoencoder, or a network that is there but of
+            other scenes or another time.
     """
     if arm not in ARMS:
         raise ValueError(f"unknown arm {arm!r}; choose one of {', '.join(ARMS)}")
     if not minutes > 0:
         raise ValueError(f"expected a positive number of minutes, got {minutes}")
-    config = config or preset("lite")
-    folders = [data] if isinstance(data, str | Path) else data
-    scenes = [load_scenes(folder, limit) for folder in folders]
+    config, out = config or peer_config(), Path(out)
     parts = build(config)
-    for name in GIVEN:
+    for name in system.GIVEN:
         if name in parts:
-            parts[name].load_state_dict(load_part(name, weights))
-            parts[name].eval().requires_grad_(False)
-    few = Pool([first(group, TIMED_SCENES) for group in scenes])
-    times = step_times(Path(out) / "times.json", few, config, parts)
+            copy_part(name, weights, out)
+    for name, module in system.given(out, config).items():
+        parts[name] = module
+    few = Pool([first(group, TIMED_SCENES) for group in pool.groups])
+    times = step_times(out / "times.json", few, config, parts)
+    scenes = checksum(*pool.groups)
     entries = {}
     for name, share in ARMS[arm].items():
+        tag = f"{arm}_{name}" if name in system.OWN else name
+        own = {"arm": arm, "minutes": minutes * share, "seed": seed, "scenes_sha256": scenes}
         torch.manual_seed(seed)
-        net = parts[name] if name in parts else networks.build_peer(name, config)
-        net = net.to(memory_format=torch.channels_last)
-        tag = name if arm in networks.NAMES else f"{arm}_{name}"
-        if name == "detail":  # it learns from what the branches paint that this arm has just trained
-            for branch in BRANCHES:
-                parts[branch].eval().requires_grad_(False)
-        step = _step_loss(name, net, parts, Pool(scenes), config, seed)
-        recipe = replace(RECIPE, steps=max(1, round(60 * minutes * share / times[name])))
-        notes = fit(f"{tag}-{seed}", net, step, recipe, work, seed=seed, key=checksum(*scenes))
-        notes |= {"arm": arm, "minutes": minutes * share, "seed": seed, "recipe": vars(recipe)}
-        notes |= {"scenes": sum(len(group) for group in scenes), "threads": torch.get_num_threads()}
-        save_part(f"{tag}-{seed}", net.state_dict(), config, out, notes)
-        entries[tag] = notes
+        net = system.build_network(name, config).to(memory_format=torch.channels_last)
+        there = read_card(out)["parts"].get(f"{tag}-{seed}")
+        if there is None:
+            steps = max(1, round(60 * minutes * share / times[name]))
+            recipe = replace(RECIPE, steps=steps, warmup=max(1, min(RECIPE.warmup, steps // 10)))
+            loss = step_loss(name, net, parts, pool, config, seed)
+            started = time.process_time()
+            notes = fit(f"{tag}-{seed}", net, loss, recipe, work, every=EVERY, seed=seed, key=scenes)
+            own |= {"recipe": vars(recipe), "cpu_seconds": round(time.process_time() - started, 1)}
+            own |= {"scenes": len(pool), "parameters": sum(p.numel() for p in net.parameters())}
+            save_part(f"{tag}-{seed}", net.state_dict(), config, out, notes | own)
+        elif any(there.get(key) != value for key, value in own.items()):
+            raise ValueError(f"{out} holds {tag}-{seed} of other scenes or another time: choose another folder (--out)")
+        if name in BRANCHES:  # the detail network learns from what the branches paint that this arm has just trained
+            net.load_state_dict(system.load_part(f"{tag}-{seed}", out))
+            parts[name] = net.eval().requires_grad_(False)
+        entries[tag] = read_card(out)["parts"][f"{tag}-{seed}"]
     return entries
 
 
-def step_times(file: Path, pool: Pool, config: Config, given: nn.ModuleDict, rounds: int = 8) -> Times:
+def train_all(
+    minutes: float,
+    data: Sequence[Path | str],
+    out: Path | str,
+    work: Path | str,
+    arms: Sequence[str] = tuple(ARMS),
+    held_out: Callable[[], Sequence[Sample]] | None = None,
+    limit: int | None = None,
+    config: Config | None = None,
+    weights: Path | str = WEIGHTS,
+) -> None:
+    """Train arms once, then those of :data:`TWICE` and the best two peers on held-out scenes with a second seed.
+
+    Args:
+        minutes: of processor time an arm.
+        data: folders of rendered scenes, drawn from by their number of scenes.
+        out: weights folder of the arms.
+        work: for checkpoints.
+        arms: of :data:`ARMS`.
+        held_out: returns the scenes by which the best two peers are chosen; None leaves the second seeds out.
+        limit: use only the first scenes of each folder.
+        config: sizes; :func:`peer_config` by default.
+        weights: folder that holds what the arms are given.
+
+    Raises:
+        ValueError: as :func:`train_peers`, and for a folder without scenes.
+    """
+    pool = Pool([load_scenes(folder, limit) for folder in data])
+    for arm in arms:
+        train_peers(arm, minutes, 0, pool, out, work, config, weights)
+    if held_out is None:
+        return
+    file = Path(out) / "validation.json"
+    if not file.is_file():
+        frames = held_out()
+        peers = [arm for arm in arms if arm in system.PEERS]
+        write_json(file, {arm: validate(system.load_arm(out, arm), frames) for arm in peers})
+    errors = json.loads(file.read_text(encoding="utf-8"))
+    best = sorted(errors, key=errors.get)[:2]
+    for arm in [arm for arm in arms if arm in (*TWICE, *best)]:
+        train_peers(arm, minutes, 1, pool, out, work, config, weights)
+
+
+def validate(ditr: system.Ditr, frames: Sequence[Sample]) -> float:
+    """Return the mean optical RMSE in metres over frames, the true region being given."""
+    errors = [rmse(ditr(s.rgb, s.depth, s.region).depth, s.depth_gt, s.region) for s in frames if s.region.any()]
+    return float(sum(errors) / len(errors))
+
+
+def step_times(file: Path, pool: Pool, config: Config, given: Mapping[str, nn.Module], rounds: int = ROUNDS) -> Times:
     """Return network -> seconds of processor time that a training step takes here.
 
-    Measured once, all networks in turn, so that a slow moment of the machine falls on all alike and a resumed run ends
-    where it should.
+    It does all that a step of ``training.loop.fit`` does. Measured once, all networks in turn, so that a slow moment of
+    the machine falls on all alike and a resumed run ends where it should.
 
     Args:
         file: where the times are kept.
@@ -132,96 +201,95 @@ def step_times(file: Path, pool: Pool, config: Config, given: nn.ModuleDict, rou
     """
     if not file.is_file():
         parts = build(config)
-        for name in GIVEN:
+        for name in system.GIVEN:
             if name in given:
                 parts[name] = given[name]
-        nets = {name: networks.build_peer(name, config) for name in networks.NAMES}
-        nets |= {name: net for name, net in parts.items() if name in OWN}
-        losses = {name: _step_loss(name, net, parts, pool, config, 0) for name, net in nets.items()}
+        nets = {name: parts[name] for name in system.OWN if name in parts}
+        nets |= {name: system.build_network(name, config) for name in (*IDEAS, *system.SINGLE)}
+        losses = {name: step_loss(name, net, parts, pool, config, 0) for name, net in nets.items()}
+        for net in nets.values():
+            net.to(memory_format=torch.channels_last)
+        optimisers = {name: torch.optim.AdamW(net.parameters(), lr=0.0) for name, net in nets.items()}
+        averages = {name: [v.clone() for v in net.state_dict().values()] for name, net in nets.items()}
         took: dict[str, list[float]] = {name: [] for name in nets}
         for k in range(rounds):
             for name, loss in losses.items():
-                nets[name].requires_grad_(True).to(memory_format=torch.channels_last)
                 start = time.process_time()
+                optimisers[name].zero_grad(set_to_none=True)
                 loss(k)["total"].backward()
+                nn.utils.clip_grad_norm_(nets[name].parameters(), 1.0)
+                optimisers[name].step()
+                for kept, value in zip(averages[name], nets[name].state_dict().values(), strict=True):
+                    kept.lerp_(value, 0.1)
                 took[name].append(time.process_time() - start)
+        file.parent.mkdir(parents=True, exist_ok=True)
         write_json(file, {name: sorted(seconds)[rounds // 2] for name, seconds in took.items()})
-    return json.loads(file.read_text())
+    return json.loads(file.read_text(encoding="utf-8"))
 
 
-def _step_loss(name: str, net: nn.Module, parts: nn.ModuleDict, pool: Pool, config: Config, seed: int):
+def step_loss(name: str, net: nn.Module, parts: nn.ModuleDict, pool: Pool, config: Config, seed: int):
+    """Return the step loss of a network of an arm, by its name."""
     backend = get_backend("classical")
     painters = {branch: painter_of(branch, parts, config) for branch in BRANCHES}
     if name in BRANCHES:
-        return recipes.branch_step(name, painters[name], pool, config, RECIPE, backend, seed)
+        return recipes.branch_step(name, replace(painters[name], net=net), pool, config, RECIPE, backend, seed)
     if name == "detail":
         return recipes.detail_step(net, painters, pool, config, RECIPE, backend, seed)
-    if name == "single_latent_diffusion":
+    if name in system.SINGLE:
         single = replace(painters["geometric"], net=net)
-        return single_step(single, pool, config, seed)
-    return peer_step(name, net, pool, config, seed)
+        return single_step(single, pool, config, backend, seed, windows=name != "bb")
+    encoder = parts["encoder"] if "encoder" in parts else None
+    return idea_step(net, encoder, pool, config, backend, seed)
 
 
-def peer_step(name: str, net: nn.Module, pool: Pool, config: Config, seed: int = 0) -> Step:
-    """Return the step of a peer at pixel size."""
-    return Step(partial(draw_whole, pool, config, None, seed), partial(score_peer, name, net))
+def idea_step(
+    idea: Idea, encoder: nn.Module | None, pool: Pool, config: Config, backend: Backend, seed: int = 0
+) -> Callable[[int], dict[str, Tensor]]:
+    """Return the step loss of an idea: windows and whole frames in turn."""
+
+    def loss(step: int) -> dict[str, Tensor]:
+        branch = BRANCHES[step % len(BRANCHES)]
+        batch = recipes.branch_batch(branch, pool, config, RECIPE.batch, recipes.rng_of(seed, step), backend)
+        views, paint = shown_views(branch, batch)
+        colour = []
+        if encoder is not None:
+            with torch.no_grad():
+                colour = encoder(recipes.cl(batch.rgb))[1:]
+        return idea.losses(views, colour, batch, paint)
+
+    return loss
 
 
-def draw_whole(pool: Pool, config: Config, backend: Backend | None, seed: int, step: int, share: Share) -> Batch:
-    """Draw whole frames."""
-    return draw_frames(pool, RECIPE.batch, config.size, recipes.rng_of(seed, step), backend, share=share)
+def shown_views(branch: str, batch: Batch) -> tuple[Views, Tensor]:
+    """Return what painters are shown of a batch, and where they must paint, (B, 1, H, W) 0/1."""
+    guide = batch.guide_da if branch == "optical" else batch.guide_rgb
+    paint = batch.region if branch == "optical" else (1 - batch.region) * (1 - batch.valid)
+    return Views(batch.rgb, batch.depth_n, batch.valid, batch.region, guide, batch.guide_rgb), paint
 
 
-def score_peer(name: str, net: nn.Module, batch: Batch, step: int, share: Share) -> Losses:
-    """Score what a peer makes of frames."""
-    out = net(recipes.cl(networks.network_input(name, batch.rgb, batch.depth_n, batch.valid)))
-    if name == "normals_optimisation":
-        return orientation_loss(out, batch)
-    if name == "rgb_only":
-        return depth_loss(batch.relative_error_m(networks.TYPICAL_M * out.exp()), batch)
-    depth_n = networks.predicted_depth(name, out, batch.depth_n, batch.valid)
-    return depth_loss(batch.relative_error(depth_n), batch)
+def single_step(
+    painter, pool: Pool, config: Config, backend: Backend, seed: int = 0, windows: bool = True
+) -> Callable[[int], dict[str, Tensor]]:
+    """Return the step loss of the single denoiser: a branch's (Paper: Eq. 8), without a region.
 
+    Args:
+        painter: whose denoiser it is.
+        pool: of scenes.
+        config: sizes.
+        backend: finds the guides.
+        seed: of everything random.
+        windows: every other batch shows windows; where False all are whole frames, every known cell counting alike.
+    """
+    schedule = make_schedule(config.schedule)
 
-def depth_loss(error: Tensor, batch: Batch) -> dict[str, Tensor]:
-    """Score relative errors (B, 1, H, W) as the detail network's recipe does: L1 and RMS, each pixel set alike."""
-    holes = (1 - batch.region) * (1 - batch.valid)
-    sets = {"optical": batch.region, "geometric": holes, "whole": torch.ones_like(holes)}
-    losses = {}
-    for name, where in sets.items():
-        weight = where * batch.gt_known
-        share = weight.sum(dim=(1, 2, 3)).clamp(min=1)
-        losses[f"{name}_l1"] = ((error.abs() * weight).sum(dim=(1, 2, 3)) / share).mean()
-        losses[f"{name}_rms"] = ((error.square() * weight).sum(dim=(1, 2, 3)) / share + 1e-8).sqrt().mean()
-    return {"total": 10 * sum(losses.values()), **losses}
+    def loss(step: int) -> dict[str, Tensor]:
+        branch = BRANCHES[step % len(BRANCHES)] if windows else "geometric"
+        batch = recipes.branch_batch(branch, pool, config, RECIPE.batch, recipes.rng_of(seed, step), backend)
+        views, paint = shown_views(branch, batch)
+        nowhere = torch.zeros_like(batch.region)
+        given = condition(views.rgb, views.depth_n, views.valid, nowhere, views.guide, evidence=False)
+        where = paint if windows else torch.ones_like(paint)
+        mask = F.avg_pool2d(where * batch.gt_known, 4) + (0.05 if windows else 0.0)
+        return {"total": recipes.denoising_loss(painter, batch, given, mask, schedule, config.sampler.prediction)}
 
-
-def orientation_loss(out: Tensor, batch: Batch) -> dict[str, Tensor]:
-    """Score predicted gradients of log depth (L1, off edges) and edges (cross-entropy)."""
-    truth = batch.truth_m.clamp(min=0.05).log()
-    known = batch.gt_known
-    gx = F.pad(truth[..., 1:] - truth[..., :-1], (0, 1, 0, 0))
-    gy = F.pad(truth[..., 1:, :] - truth[..., :-1, :], (0, 0, 0, 1))
-    pairs = (known[..., 1:] * known[..., :-1], known[..., 1:, :] * known[..., :-1, :])
-    both = F.pad(pairs[0], (0, 1, 0, 0)) * F.pad(pairs[1], (0, 0, 0, 1))
-    gradients = torch.cat([gx, gy], dim=1)
-    edge = (gradients.abs().amax(dim=1, keepdim=True) > EDGE).float()
-    smooth = both * (1 - edge)
-    l1 = ((out[:, :2] - gradients).abs() * smooth).sum() / smooth.sum().clamp(min=1)
-    cross = F.binary_cross_entropy_with_logits(out[:, 2:], edge, weight=both)
-    return {"total": 100 * l1 + cross, "gradient_l1": l1, "edge": cross}
-
-
-def single_step(painter: Painter, pool: Pool, config: Config, seed: int = 0) -> Step:
-    """Return the step of the single denoiser: a branch's (Paper: Eq. 8), every known cell counting alike."""
-    draw = partial(draw_whole, pool, config, get_backend("classical"), seed)
-    return Step(draw, partial(score_single, painter, config), recipes.frozen_of(painter))
-
-
-def score_single(painter: Painter, config: Config, batch: Batch, step: int, share: Share) -> Losses:
-    """Score what the single denoiser makes of frames."""
-    views = networks.single_views(batch.rgb, batch.depth_n, batch.valid, batch.guide_rgb)
-    given = condition(views.rgb, views.depth_n, views.valid, views.region, views.guide, evidence=False)
-    mask = F.avg_pool2d(batch.gt_known, 4)
-    schedule, prediction = make_schedule(config.schedule), config.sampler.prediction
-    return {"total": recipes.denoising_loss(painter, batch, given, mask, schedule, prediction, share)}
+    return loss

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 from tqdm.auto import tqdm
 
-from ..conditioning import fit_frame
 from ..config import Config
 from ..data import Sample
 from ..datasets import REGISTRY, FrameFolder, teachable
 from ..files import folder_written_whole
 from ..region import IGNORE
+from ..windows import fit_frame
 from .loop import is_first, wait_for_all
 from .scenes import MAPS, Pool, Scenes
 

@@ -4,6 +4,7 @@ import pytest
 
 from ditr_lite.cli import main
 from ditr_lite.evaluation import scoring
+from ditr_lite.studies import peer_tables
 
 
 @pytest.mark.parametrize(
@@ -23,3 +24,12 @@ def test_bench_refuses_before_it_scores(tmp_path, capsys, monkeypatch, argv, rea
     monkeypatch.chdir(tmp_path)
     assert main(["bench", "--limit", "1", "--json", "b.json", *argv]) == 2
     assert reason in capsys.readouterr().err and not (tmp_path / "b.json").exists()
+
+
+def test_the_table_of_peers_is_printed_and_nothing_scored(capsys, monkeypatch):
+    report = {"command": "python tools/peer_study.py", "splits": {}}
+    monkeypatch.setattr(peer_tables, "load_results", lambda: report)
+    monkeypatch.setattr(peer_tables, "format_study", lambda given: "the table" if given is report else "another")
+    assert main(["bench", "--peers"]) == 0
+    said = capsys.readouterr().out
+    assert said == "the table\n\nCommand: python tools/peer_study.py, after python tools/train_peers.py\n"

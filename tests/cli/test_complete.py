@@ -169,7 +169,7 @@ class Flickering:
     def refine(self, mask):
         return mask
 
-    def __call__(self, rgb, depth, region, *_):
+    def __call__(self, rgb, depth, region, **_):
         painted = np.where(rgb.mean(axis=2) > 150, 0.5, 0.7) + self.rng.normal(0, 0.02, depth.shape)
         painted = painted.astype(np.float32)
         zero = np.zeros(depth.shape, bool)

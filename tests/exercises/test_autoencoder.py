@@ -190,7 +190,7 @@ MISTAKES = [
     (checks.check_perplexity, np.count_nonzero, "in use"),
     (checks.check_perplexity, lambda c: np.exp(-sum(x * np.log(x) for x in c if x)), "sum first"),
     (checks.check_perplexity, lambda c: perplexity(c) / len(c), "share of K"),
-    (checks.check_calibrate, lambda z: (calibrate(z)[0], 1 / calibrate(z)[1]), "1 / deviation"),
+    (checks.check_calibrate, lambda z: (calibrate(z)[0], 1 / calibrate(z)[1]), "1 / standard deviation"),
     (checks.check_calibrate, lambda z: (calibrate(z)[0], calibrate(z)[1] ** 2), "variance"),
     (checks.check_calibrate, lambda z: (z.mean((0, 2, 3)), 1 / z.std((0, 2, 3))), "n - 1"),
     (checks.check_calibrate, lambda z: np.outer([z.mean(), 1 / z.std(ddof=1)], np.ones(z.shape[1])), "each channel"),

@@ -132,7 +132,7 @@ def test_maps_of_different_size_are_refused():
 
 def test_training_reduces_the_loss_and_reaches_encoder_and_decoder():
     torch.manual_seed(0)
-    model = VQAutoencoder(TINY)
+    model = VQAutoencoder(TINY.autoencoder)
     x = torch.zeros(4, 1, 32, 32)
     x[:, :, :, 13:] = 0.5
     optimiser = torch.optim.Adam(model.parameters(), 3e-3)

@@ -1,0 +1,306 @@
+"""Tables of DITR beside learned peers at equal training time, of its ablation, and of what its error is due to.
+
+Paper: Tables I to III (compared systems) and IV (ablation: BB, +DP, +RR). ``tools/train_peers.py`` trains the arms,
+``tools/peer_study.py`` scores all of them on the same frames, with the same region from stage one, on the same pixels.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ..baselines import REGISTRY
+from ..data import SAMPLES, Sample, load_sample
+from ..evaluation.statistics import bootstrap_mean, format_interval, interval, paired_bootstrap, ratio_bootstrap
+from ..files import read_depth
+from ..paper.tables import T1, T4, T5
+from ..store import WEIGHTS
+
+RESULTS = WEIGHTS / "results_peers.json"
+PICTURES = SAMPLES / "peers"  # what each peer painted where it failed most
+SETS = ("optical", "geometric", "whole")
+SHIPPED, EQUAL = "ditr", "ditr, equal time"
+ORACLES = {  # what is put in the place of one part of the shipped system
+    "true region": "stage one never errs",
+    "no detail network": "the branches as decoded",
+    "truth through the autoencoder": "denoisers never err",
+    "one sample": "no averaging",
+    "sixteen samples": "four times the averaging",
+}
+EQUAL_ORACLES = {  # the same of DITR at equal time
+    "equal time, true region": "stage one never errs",
+    "equal time, no detail network": "the branches as decoded",
+    "truth at the working size": "all painters never err, at the arms' working size",
+}
+IDEAS = {  # peer -> its idea, and the systems of Tables I to III that have it
+    "regression": "one U-Net from colour and raw depth to depth (DFNet)",
+    "rgb_only": "depth from colour alone (DenseDepth)",
+    "rgb_only_aligned": "the same, scaled and shifted to the readings outside (MiDaS)",
+    "normals_optimisation": "predict orientation and edges, then solve for depth (DeepCompletion, ClearGrasp)",
+    "two_stream_confidence": "a prediction and the sensor, blended by learnt confidence (SwinDRNet)",
+    "implicit_rays": "ask points along each ray whether it ends there (LIDF)",
+    "point_completion": "lift to points, complete them, project (TranspareNet)",
+    "adversarial": "a critic tells painted depth from true depth (DepthGrasp)",
+    "self_supervised": "colour alone, taught and scaled by the sensor's readings (SRD)",
+    "single_latent_diffusion": "one latent denoiser for all, no region (LDM)",
+}
+PAPER = {  # pixel set -> the paper's RMSE of DITR over that of DFNet, and the table that it is from; both are rounded
+    "optical": (T5.records()["DITR"]["optical.rmse"] / T5.records()["DFNet"]["optical.rmse"], "Table V, optical"),
+    "whole": (T1.records()["DITR"]["rmse"] / T1.records()["DFNet"]["rmse"], "Table I, overall"),
+}
+LADDER = (("BB", "+DP"), ("+DP", "+RR"))
+Scores = Mapping[str, Mapping[str, Mapping[str, float | None]]]  # frame -> method -> pixel set -> RMSE in metres
+
+
+def summarise_peers(scores: Scores) -> dict[str, Any]:
+    """Return means, ratios and differences with 95 % intervals over frames.
+
+    Args:
+        scores: frame -> method -> pixel set -> RMSE in metres, None for an empty set.
+
+    Returns:
+        ``frames``: their number; ``mean``: method -> set -> [mean, low, high] in metres; ``ratio``: method -> set ->
+        mean of DITR at equal time over that of the method; ``minus_ditr``: method -> set -> [difference to the shipped
+        system], if that was scored; ``minus_equal``: the same to DITR at equal time; ``ablation``: seed -> step -> set
+        -> [relative change of the mean].
+    """
+    names = list(next(iter(scores.values())))
+    column = {n: {k: [frame[n][k] for frame in scores.values()] for k in SETS} for n in names}
+    out: dict[str, Any] = {"frames": len(scores)}
+    out["mean"] = {n: {k: interval(bootstrap_mean, column[n][k]) for k in SETS} for n in names}
+    if EQUAL in names:
+        methods = [n for n in names if n not in (*ORACLES, *EQUAL_ORACLES)]  # an oracle may err nowhere
+        out["ratio"] = {n: {k: ratio_bootstrap(column[EQUAL][k], column[n][k]) for k in SETS} for n in methods}
+    for key, against in (("minus_ditr", SHIPPED), ("minus_equal", EQUAL)):
+        if against in names:
+            out[key] = {n: {k: paired_bootstrap(column[n][k], column[against][k]) for k in SETS} for n in names}
+    seeds = [n.removeprefix("BB, seed ") for n in names if n.startswith("BB, seed ")]
+    out["ablation"] = {seed: _steps(column, seed) for seed in seeds if f"+RR, seed {seed}" in names}
+    return out
+
+
+def _steps(column: Mapping[str, Mapping[str, Sequence[float | None]]], seed: str) -> dict[str, dict[str, Any]]:
+    steps = {}
+    for before, after in LADDER:
+        one, other = column[f"{after}, seed {seed}"], column[f"{before}, seed {seed}"]
+        steps[after] = {k: ratio_bootstrap(one[k], other[k]) for k in SETS}
+    return steps
+
+
+def load_results(path: Path | str = RESULTS) -> dict[str, Any]:
+    """Read what ``tools/peer_study.py`` wrote: ``trained``, ``splits`` (name -> scores and summary), ``real``."""
+    return json.loads(Path(path).read_text(encoding="utf-8"))
+
+
+def by_seed(report: Mapping[str, Any], step: str, key: str) -> np.ndarray:
+    """Return the errors (S, N) in metres of a step of the ablation: its training seeds by frames that hold such pixels.
+
+    Args:
+        report: of one split.
+        step: ``BB``, ``+DP`` or ``+RR``.
+        key: pixel set.
+    """
+    names = [f"{step}, seed {seed}" for seed in report["ablation"]]
+    rows = [[frame[n][key] for n in names] for frame in report["rmse_m"].values()]
+    return np.array([row for row in rows if None not in row]).T
+
+
+def best_peer(report: Mapping[str, Any], key: str = "optical") -> str:
+    """Return the peer with the smallest mean error on a pixel set of a split."""
+    mean = report["mean"]
+    return min((n for n in IDEAS if n in mean and mean[n][key]), key=lambda n: mean[n][key][0])
+
+
+def ratio_verdict(report: Mapping[str, Any]) -> str:
+    """Say where the paper's ratio to DFNet lies beside ours, of DITR at equal time to regression and to the best peer.
+
+    Like is set beside like: *whole* beside the paper's overall, *optical* beside its optical ratio (:data:`PAPER`).
+    Last comes what the paper claims of the holes: DITR's error is the smallest.
+    """
+    mean, lines = report["mean"], []
+    for name in dict.fromkeys(("regression", best_peer(report))):
+        for key, (paper, table) in PAPER.items():
+            middle, low, high = report["ratio"][name][key]
+            told = "smaller" if high < 1 else "larger" if low > 1 else "not measurably different"
+            lies = "below" if paper < low else "above" if paper > high else "inside"
+            lines.append(
+                f"DITR's {key} error at equal time is {told}: {middle:.2f} [{low:.2f}, {high:.2f}] times that of "
+                f"{name}; the paper's {paper:.2f} to DFNet ({table}) lies {lies} our interval"
+            )
+    others = [n for n in (*IDEAS, *REGISTRY) if n in mean and mean[n]["geometric"]]
+    least = min(others, key=lambda n: mean[n]["geometric"][0])
+    gap = report["minus_equal"][least]["geometric"]
+    told = "smaller than" if gap[2] < 0 else "larger than" if gap[1] > 0 else "not measurably different from"
+    lines.append(
+        f"in the holes the best other method, {least}, has an error {told} DITR's at equal time: "
+        f"{format_interval(gap, 1000, '+.1f')} mm"
+    )
+    return "\n".join(lines)
+
+
+def format_peers(report: Mapping[str, Any]) -> str:
+    """Return the table of a split: RMSE in mm of DITR, peers and baselines, and DITR at equal time over each."""
+    mean, ratio = report["mean"], report["ratio"]
+    lines = ["RMSE mm, mean over frames".ljust(36) + "".join(k.rjust(11) for k in SETS) + "   optical, DITR : it"]
+    for name in (SHIPPED, *with_seeds(mean, EQUAL, *IDEAS), *REGISTRY):
+        if name in mean:
+            over = format_interval(ratio[name]["optical"], 1, ".2f")
+            lines.append(name.ljust(36) + _cells(mean[name]) + f"   {over}")
+    return "\n".join(lines)
+
+
+def with_seeds(mean: Mapping[str, Any], *names: str) -> list[str]:
+    """Return those of ``names`` that were scored, each followed by its further training seeds."""
+    found = []
+    for name in names:
+        found += [n for n in mean if n == name or n.startswith(f"{name}, seed ")]
+    return found
+
+
+def format_ablation(report: Mapping[str, Any]) -> str:
+    """Return the ablation: RMSE in mm of each step and seed, and the relative changes of the mean that it made."""
+    told = T4.records()
+    falls = [100 * (told[b]["rmse"] / told[a]["rmse"] - 1) for a, b in (("BB", "BB + DP"), ("BB + DP", "BB + DP + RR"))]
+    paper = " (Table IV: {:.0f} %, {:.0f} %)".format(*falls)
+    heads = "optical, change".rjust(22) + "whole, change".rjust(22) + paper
+    lines = ["RMSE mm".ljust(16) + "".join(k.rjust(11) for k in SETS) + heads]
+    for seed, steps in report["ablation"].items():
+        for step in ("BB", "+DP", "+RR"):
+            change = steps.get(step)
+            texts = (
+                [format_interval([100 * (v - 1) for v in change[k]], 1, "+.0f") + " %" for k in PAPER] if change else []
+            )
+            row = f"{step}, seed {seed}".ljust(16) + _cells(report["mean"][f"{step}, seed {seed}"])
+            lines.append(row + "".join(text.rjust(22) for text in texts))
+    return "\n".join(lines)
+
+
+def format_oracles(report: Mapping[str, Any]) -> str:
+    """Return what DITR, shipped and at equal time, would score with one part replaced, and the difference it makes."""
+    lines = ["RMSE mm".ljust(36) + "".join(k.rjust(11) for k in SETS) + "   optical, minus the unchanged"]
+    groups = ((SHIPPED, ORACLES, "minus_ditr"), (EQUAL, EQUAL_ORACLES, "minus_equal"))
+    for base, oracles, key in groups:
+        for name in (base, *oracles):
+            if name in report["mean"] and key in report:
+                change = format_interval(report[key][name]["optical"], 1000, "+.1f")
+                row = name.ljust(36) + _cells(report["mean"][name]) + f"   {change}  {oracles.get(name, '')}"
+                lines.append(row.rstrip())
+    return "\n".join(lines)
+
+
+def format_real(real: Mapping[str, Mapping[str, Mapping[str, float | None]]]) -> str:
+    """Return the table of real frames: RMSE in mm where the truth is known, else the share of readings that moved.
+
+    Args:
+        real: frame -> method -> ``optical``, ``geometric`` (metres) or ``moved`` (a share).
+    """
+    methods = list(next(iter(real.values())))
+    true = [frame for frame, rows in real.items() if "optical" in rows[methods[0]]]
+    controls = [frame for frame in real if frame not in true]
+    heads = ["optical mm", "geometric mm", "moved %"]
+    lines = [
+        f"{len(true)} real frames with truth, {len(controls)} without".ljust(36) + "".join(h.rjust(14) for h in heads)
+    ]
+    for method in methods:
+        columns = [[real[f][method][key] for f in true if real[f][method][key] is not None] for key in SETS[:2]]
+        cells = [f"{1000 * np.mean(c):14.1f}" if c else f"{'-':>14}" for c in columns]
+        moved = [real[f][method]["moved"] for f in controls]
+        cells.append(f"{100 * np.mean(moved):14.2f}" if moved else f"{'-':>14}")
+        lines.append(method.ljust(36) + "".join(cells))
+    return "\n".join(lines)
+
+
+def failure_frames(part: Mapping[str, Any]) -> dict[str, str]:
+    """Return peer -> the frame of a split where its optical error exceeds that of DITR at equal time by most."""
+    found = {}
+    for peer in (n for n in IDEAS if n in part["mean"]):
+        gaps = {
+            frame: row[peer]["optical"] - row[EQUAL]["optical"]
+            for frame, row in part["rmse_m"].items()
+            if row[peer]["optical"] is not None
+        }
+        if gaps:
+            found[peer] = max(gaps, key=gaps.get)
+    return found
+
+
+def read_failures(report: Mapping[str, Any], folder: Path | str = PICTURES) -> list[tuple[str, Sample, np.ndarray]]:
+    """Return peer, frame and completed depth (H, W) in metres of each peer's worst frame beside DITR.
+
+    Raises:
+        ValueError: when a picture that the results name is not there.
+    """
+    return [
+        (peer, load_sample(frame), read_depth(Path(folder) / f"{peer}.png"))
+        for peer, frame in report["failures"].items()
+    ]
+
+
+def error_character(depth: np.ndarray, truth: np.ndarray, region: np.ndarray, border: int = 2) -> dict[str, float]:
+    """Say of what kind an error inside a region is.
+
+    Args:
+        depth: (H, W) completed, metres.
+        truth: (H, W) metres, 0 = unknown.
+        region: (H, W) bool.
+        border: width in pixels of what counts as near the region's outline.
+
+    Returns:
+        in metres: ``rmse``; ``offset``, the mean error, above 0 for too far; ``shape``, the RMSE without the offset;
+        ``outline``, the RMSE near the outline of the region (0 where nothing of it is known).
+
+    Raises:
+        ValueError: when no pixel of the region has a truth.
+    """
+    known = region & (truth > 0)
+    if not known.any():
+        raise ValueError("no pixel of the region has a true depth; choose another frame")
+    error = np.where(known, depth.astype(np.float64) - truth, 0)
+    inner = cv2.erode(region.astype(np.uint8), np.ones((2 * border + 1,) * 2, np.uint8)) > 0
+    near = known & ~inner
+    offset = float(error[known].mean())
+    return {
+        "rmse": float(np.sqrt((error[known] ** 2).mean())),
+        "offset": offset,
+        "shape": float(error[known].std()),
+        "outline": float(np.sqrt((error[near] ** 2).mean())) if near.any() else 0.0,
+    }
+
+
+def format_failures(failures: Sequence[tuple[str, Sample, np.ndarray]]) -> str:
+    """Return what kind of error each peer makes on its worst frame, mm, and what most of its error is, in words."""
+    heads = ("frame", "RMSE", "offset", "shape", "outline")
+    lines = ["mm".ljust(26) + heads[0].ljust(14) + "".join(h.rjust(9) for h in heads[1:])]
+    for peer, sample, depth in failures:
+        kind = error_character(depth, sample.depth_gt, sample.region)
+        cells = "".join(
+            f"{1000 * kind[k]:{'+' if k == 'offset' else ''}9.1f}" for k in ("rmse", "offset", "shape", "outline")
+        )
+        if abs(kind["offset"]) > kind["shape"]:
+            told = "the glass is too far as a whole" if kind["offset"] > 0 else "the glass is too near as a whole"
+        else:
+            told = (
+                "its shape is wrong, most of all at the outline"
+                if kind["outline"] > kind["rmse"]
+                else "its shape is wrong"
+            )
+        lines.append(peer.ljust(26) + sample.name.ljust(14) + cells + f"  {told}")
+    return "\n".join(lines)
+
+
+def format_study(report: Mapping[str, Any]) -> str:
+    """Return every table of a results file, split after split."""
+    texts = []
+    for split, part in report["splits"].items():
+        texts.append(f"{split} split, {part['frames']} frames")
+        texts += [format_peers(part), ratio_verdict(part), format_ablation(part), format_oracles(part)]
+    if report.get("real"):
+        texts.append(format_real(report["real"]))
+    return "\n\n".join(texts)
+
+
+def _cells(row: Mapping[str, Sequence[float] | None]) -> str:
+    return "".join(f"{1000 * row[k][0]:11.1f}" if row[k] else f"{'-':>11}" for k in SETS)

@@ -1,0 +1,149 @@
+import json
+
+import numpy as np
+import pytest
+
+from ditr_lite.data import load_sample
+from ditr_lite.files import write_depth
+from ditr_lite.peers import system
+from ditr_lite.studies import peer_tables as compare
+
+RNG = np.random.default_rng(0)
+LEVELS = {  # method -> RMSE in metres about which its frames lie
+    compare.SHIPPED: 0.030,
+    compare.EQUAL: 0.040,
+    "true region": 0.020,
+    "no detail network": 0.035,
+    "truth through the autoencoder": 0.010,
+    "one sample": 0.031,
+    "sixteen samples": 0.0299,
+    "harmonic": 0.07,
+    f"{compare.EQUAL}, seed 1": 0.041,
+    "regression": 0.045,
+    "regression, seed 1": 0.046,
+    "equal time, true region": 0.035,
+    "BB, seed 0": 0.060,
+    "+DP, seed 0": 0.045,
+    "+RR, seed 0": 0.044,
+    "BB, seed 1": 0.062,
+    "+DP, seed 1": 0.046,
+    "+RR, seed 1": 0.044,
+}
+
+
+@pytest.fixture(scope="module")
+def scores():
+    frames = {}
+    for i in range(20):
+        hard = RNG.uniform(0.5, 1.5)
+        frames[f"f{i}"] = {
+            n: {k: None if k == "optical" and i == 3 else hard * v for k in compare.SETS} for n, v in LEVELS.items()
+        }
+    return frames
+
+
+@pytest.fixture(scope="module")
+def report(scores):
+    return compare.summarise_peers(scores)
+
+
+def test_ratios_and_changes_are_those_of_the_means(report):
+    assert report["ratio"]["regression"]["optical"][0] == pytest.approx(40 / 45)
+    assert report["ablation"]["0"]["+DP"]["optical"] == pytest.approx((0.75, 0.75, 0.75))  # paired: no spread is left
+    assert report["ablation"]["1"]["+RR"]["whole"][0] == pytest.approx(44 / 46)
+    mean, low, high = report["minus_ditr"]["true region"]["optical"]
+    assert low < mean < high < 0
+
+
+def test_every_idea_is_a_peer():
+    assert set(compare.IDEAS) == set(system.PEERS)
+
+
+def test_errors_by_seed_leave_out_frames_without_such_pixels(report, scores):
+    errors = compare.by_seed({**report, "rmse_m": scores}, "BB", "optical")
+    assert errors.shape == (2, 19) and np.allclose(errors[1] / errors[0], 62 / 60)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "said"),
+    [
+        ((0.65, 0.60, 0.70), "smaller: 0.65 [0.60, 0.70] times that of regression; the paper's 0.73 to DFNet (Table V"),
+        ((0.80, 0.70, 1.10), "not measurably different: 0.80 [0.70, 1.10] times that of regression"),
+        ((0.80, 0.75, 0.90), "smaller: 0.80"),
+        ((1.20, 1.10, 1.30), "larger: 1.20"),
+    ],
+)
+def test_the_verdict_follows_the_interval(report, ratio, said):
+    made = {**report, "ratio": {"regression": {"optical": ratio, "whole": (0.9, 0.7, 1.1)}}}
+    optical, whole, holes = compare.ratio_verdict(made).splitlines()
+    lies = "above" if ratio[2] < 0.73 else "below" if ratio[1] > 0.74 else "inside"
+    assert said in optical and optical.endswith(f"Table V, optical) lies {lies} our interval")
+    assert whole.startswith("DITR's whole error") and whole.endswith(
+        "paper's 0.76 to DFNet (Table I, overall) lies inside our interval"
+    )
+    assert holes.startswith("in the holes the best other method, regression, has an error larger than DITR's")
+
+
+def test_like_is_compared_with_like():
+    assert {k: round(ratio, 2) for k, (ratio, _) in compare.PAPER.items()} == {"optical": 0.73, "whole": 0.76}
+
+
+def test_tables_name_every_row_and_survive_json(report):
+    again = json.loads(json.dumps(report))
+    makers = (compare.format_peers, compare.format_ablation, compare.format_oracles)
+    peers, ablation, oracles = (make(again) for make in makers)
+    assert compare.EQUAL in peers and "harmonic" in peers and "0.89 [0.89, 0.89]" in peers
+    assert "regression, seed 1" in peers and f"{compare.EQUAL}, seed 1" in peers
+    assert ablation.count("seed 1") == 3 and ablation.count("-25 [-25, -25] %") == 2 and "IV: -33 %, -5 %" in ablation
+    assert all(name in oracles for name in (*compare.ORACLES, "equal time, true region"))
+    everything = compare.format_study({"splits": {"test": again, "rooms": again}, "real": REAL})
+    assert everything.count(peers) == 2 and "rooms split, 20 frames" in everything
+
+
+REAL = {
+    "bottle": {"ditr": {"optical": 0.01, "geometric": None}, "regression": {"optical": 0.02, "geometric": 0.03}},
+    "desk": {"ditr": {"moved": 0.01}, "regression": {"moved": 0.05}},
+}
+
+
+def test_real_frames_are_scored_by_truth_or_by_what_moved():
+    head, ditr, regression = compare.format_real(REAL).splitlines()
+    assert head.startswith("1 real frames with truth, 1 without")
+    assert ditr.split() == ["ditr", "10.0", "-", "1.00"] and regression.split() == [
+        "regression",
+        "20.0",
+        "30.0",
+        "5.00",
+    ]
+
+
+def test_the_best_peer_is_a_peer(report):
+    assert compare.best_peer(report) == "regression"
+    assert compare.with_seeds(report["mean"], "regression") == ["regression", "regression, seed 1"]
+
+
+def test_the_worst_frame_is_where_a_peer_loses_most_to_ditr(report, scores):
+    worse = {f: {**row, "regression": {**row["regression"]}} for f, row in scores.items()}
+    worse["f7"]["regression"]["optical"] = 9.0
+    assert compare.failure_frames({**report, "rmse_m": worse}) == {"regression": "f7"}
+
+
+def test_an_error_has_a_character():
+    truth, region = np.full((20, 20), 0.5), np.zeros((20, 20), bool)
+    region[4:16, 4:16] = True
+    far = compare.error_character(truth + 0.03, truth, region)
+    assert far["offset"] == pytest.approx(0.03) and far["shape"] == pytest.approx(0, abs=1e-9)
+    at_the_rim = truth.copy()
+    at_the_rim[4:6, 4:16] += 0.05
+    rim = compare.error_character(at_the_rim, truth, region)
+    assert rim["outline"] > rim["rmse"] > rim["offset"] > 0
+    with pytest.raises(ValueError, match="no pixel of the region has a true depth"):
+        compare.error_character(truth, 0 * truth, region)
+
+
+def test_failures_are_told_in_words(tmp_path):
+    sample = load_sample("val_00000")
+    write_depth(tmp_path / "regression.png", np.where(sample.depth_gt > 0, sample.depth_gt, 1) + 0.1 * sample.region)
+    failures = compare.read_failures({"failures": {"regression": "val_00000"}}, tmp_path)
+    told = compare.format_failures(failures)
+    assert "+100.0" in told and told.endswith("the glass is too far as a whole")
