@@ -5,11 +5,11 @@ Everything is loaded on first use, so the import itself costs nothing: ``dl.load
 
     what everything stands on   units config camera files data store
     why depth is missing        loss_types: Type I and Type II, the paper's partition
-    the way into a network      conditioning: depth to tensors and back, bounds; windows: whole frames and parts
-    stage one                   region/: network, loss, refinement; its pretrained encoder of colour
+    the way into a network      conditioning: depth to tensors and back, bounds; windows: the size it needs
+    stage one                   region/: network, refinement; its pretrained encoder of colour
     the guides                  boundary/: maps, truth, backends
     stage two                   autoencoder schedule diffusion unet detail; stage_two: all of it, in five steps
-    the whole                   pipeline: Ditr, what it returns, how the branches are composed
+    the whole                   pipeline: Ditr, both stages, how the branches are composed
     how good it is              metrics, and what to beat: baselines
 
 The rest is in rooms: ``datasets`` (real data), ``viz`` (pictures), ``simulator`` (rendered scenes and sensors),

@@ -5,6 +5,7 @@ what the paper states (Sec. IV and V-B) wherever it states something.
 """
 
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from numbers import Real
 from typing import Any, get_args, get_type_hints
 
 
@@ -220,6 +221,18 @@ def preset(name: str) -> Config:
     if name not in PRESETS:
         raise ValueError(f"unknown preset {name!r}; choose one of {', '.join(PRESETS)}")
     return PRESETS[name]
+
+
+def check_stage_one(threshold: float | None, refine: RefineConfig | None) -> None:
+    """Refuse what cannot be asked of stage one.
+
+    Raises:
+        ValueError: for a threshold that is no probability, or kernels of another kind.
+    """
+    if threshold is not None and not (isinstance(threshold, Real) and 0 < threshold < 1):
+        raise ValueError(f"threshold: expected a probability between 0 and 1, got {threshold!r}")
+    if refine is not None and not isinstance(refine, RefineConfig):
+        raise ValueError(f"refine: expected a config.RefineConfig, got {refine!r}")
 
 
 def to_dict(config: Any) -> dict[str, Any]:

@@ -4,11 +4,9 @@ Paper: Sec. IV-A and Fig. 5; Eq. 3, ``D_out = DITR(D_in given X)``.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from numbers import Real
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -18,7 +16,7 @@ from . import diffusion
 from .autoencoder import VQAutoencoder
 from .boundary import M_D, M_DA, M_RGB, Backend, boundary_maps, get_backend, own_backend
 from .conditioning import CHANNELS, Bounds, depth_bounds, depth_tensors, to_tensor
-from .config import Config, RefineConfig
+from .config import Config, RefineConfig, check_stage_one
 from .detail import DetailNet
 from .metrics import expected_error
 from .region import ColourEncoder, RegionNet, refine_region
@@ -27,65 +25,7 @@ from .stage_two import BRANCHES, Painter, Plan, Sampler, Views, paint
 from .store import load_parts
 from .unet import DenoisingUNet
 from .units import MAX_SEED, check_count, check_inputs, strips, without_strays
-from .windows import Frame, Window, choose_windows, fit_frame, level, tie
-
-
-class OnDemand:
-    """A map of a result: an array, or a call that makes it when it is first asked for.
-
-    Most callers want ``depth`` alone, and of a large frame each map takes hundreds of megabytes.
-    """
-
-    def __init__(self, *default: Any):
-        self.default = default
-
-    def __set_name__(self, owner: type, name: str):
-        self.name = name
-
-    def __get__(self, result: Any, owner: type | None = None) -> Any:
-        if result is None and not self.default:
-            raise AttributeError(self.name)  # for dataclass: there is no default
-        if result is None:
-            return self.default[0]
-        held = result.__dict__[self.name]
-        if callable(held):
-            held = result.__dict__[self.name] = held()
-        return held
-
-    def __set__(self, result: Any, value: Any):
-        result.__dict__[self.name] = value
-
-
-@dataclass(frozen=True)
-class Completion:
-    """What :class:`pipeline.Ditr` returns; all maps have the size of the input.
-
-    Depth, region and std are there; the other maps are made when they are first asked for.
-
-    Attributes:
-        depth: (H, W) float32 metres, dense.
-        region: (H, W) bool, after refinement (the caller's, if one was given).
-        std: (H, W) float32 metres, the error to expect (one standard deviation), see ``metrics.expected_error``.
-        boundary_rgb, boundary_depth, boundary_da: (H, W) bool, M_RGB, M_D and M_DA.
-        probability: (H, W) float32, stage one's belief before threshold and refinement; None for a given region.
-        optical, geometric: (H, W) float32 metres, each branch's own repainting before composition; the optical branch
-            paints its windows only and shows the geometric one's elsewhere.
-        windows: where the optical branch looked.
-        classes: (H, W) uint8, what stage one claims before refinement: 0 nothing, else the likelier of the classes
-            ``data.TRANSPARENT`` and ``data.REFLECTIVE``; None for a given region.
-    """
-
-    depth: np.ndarray
-    region: np.ndarray
-    std: np.ndarray
-    boundary_rgb: np.ndarray = OnDemand()
-    boundary_depth: np.ndarray = OnDemand()
-    boundary_da: np.ndarray = OnDemand()
-    probability: np.ndarray | None = OnDemand()
-    optical: np.ndarray = OnDemand()
-    geometric: np.ndarray = OnDemand()
-    windows: tuple[Window, ...]
-    classes: np.ndarray | None = OnDemand(None)
+from .windows import Claim, Completion, Frame, Layer, Painting, Window, choose_windows, fit_frame, level
 
 
 def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, region: np.ndarray) -> np.ndarray:
@@ -121,127 +61,6 @@ def build(config: Config) -> nn.ModuleDict:
     return nn.ModuleDict(parts)
 
 
-@dataclass(frozen=True)
-class Layer:
-    """What a branch made of a view, at network size, and where that lies in the frame.
-
-    Attributes:
-        mean, spread: (h, w) float32 metres, over samples.
-        view: how the view, a window or the frame, lies in (h, w).
-        window: None for the frame.
-        pixels: (H, W) bool, what is painted of the frame in a window.
-    """
-
-    mean: np.ndarray
-    spread: np.ndarray
-    view: Frame
-    window: Window | None = None
-    pixels: np.ndarray | None = None
-
-    def onto(self, image: np.ndarray, what: str, region: np.ndarray | None = None) -> None:
-        """Paint ``what``, "mean" or "spread", onto a map (H, W) in place; of a whole frame ``region`` alone, if any."""
-        painted = self.view.back(getattr(self, what))
-        if self.window is None:
-            np.copyto(image, painted, where=True if region is None else region)
-        else:
-            self.window.paste(painted, image, self.pixels)
-
-
-@dataclass(frozen=True)
-class Painting:
-    """What stage two made of a frame, before composition; its maps are made from network size when asked for.
-
-    Attributes:
-        whole: the geometric branch's, of the frame.
-        close: the optical branch's.
-        level: of the readings over the geometric branch's painting, see :func:`conditioning.level`; None without any.
-        holes: (H, W) bool as bits, where there is no reading outside the region.
-        boundaries: M_RGB, M_D and M_DA of the frame, (h, w) bool.
-    """
-
-    whole: Layer
-    close: tuple[Layer, ...]
-    level: Tensor | None
-    holes: np.ndarray
-    boundaries: tuple[np.ndarray, ...]
-
-    @property
-    def windows(self) -> tuple[Window, ...]:
-        """Where the optical branch looked."""
-        return tuple(layer.window for layer in self.close if layer.window is not None)
-
-    @property
-    def geometric(self) -> np.ndarray:
-        """(H, W) float32 metres, painted over the whole frame; holes at the level of the readings around them.
-
-        Readings are not echoed: ``adjust`` asks for the painting.
-        """
-        view = self.whole.view
-        painted = view.back(self.whole.mean)
-        if self.level is not None:
-            tie(painted, self.level, np.unpackbits(self.holes, axis=1, count=view.source[1]).view(bool))
-        return painted
-
-    @property
-    def optical(self) -> np.ndarray:
-        """(H, W) float32 metres, painted in windows around the region; what the geometric branch painted elsewhere."""
-        image = self.geometric
-        for layer in self.close:
-            layer.onto(image, "mean")
-        return image
-
-    @property
-    def geometric_spread(self) -> np.ndarray:
-        """(H, W) float32 metres, standard deviation over samples."""
-        return self.whole.view.back(self.whole.spread)
-
-    @property
-    def optical_spread(self) -> np.ndarray:
-        """(H, W) float32 metres, likewise."""
-        image = self.geometric_spread
-        for layer in self.close:
-            layer.onto(image, "spread")
-        return image
-
-    def compose(self, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
-        """Return what :func:`compose` makes of this, (H, W) float32 metres, with fewer maps in memory at a time."""
-        out = self.geometric
-        for layer in self.close:
-            layer.onto(out, "mean", region)
-        np.copyto(out, depth, where=(depth > 0) & ~region)
-        return out
-
-    def spread(self, region: np.ndarray) -> np.ndarray:
-        """Return (H, W) float32 metres, the spread of the branch that paints each pixel."""
-        out = self.geometric_spread
-        for layer in self.close:
-            layer.onto(out, "spread", region)
-        return out
-
-
-@dataclass(frozen=True)
-class Found:
-    """What stage one says of a frame, at the working size.
-
-    Attributes:
-        frame: how the frame lies in (h, w).
-        probability: (h, w) float32.
-        classes: (h, w) uint8, 0 where nothing is claimed, else the likelier class.
-        region: (h, w) bool, refined.
-    """
-
-    frame: Frame
-    probability: np.ndarray
-    classes: np.ndarray
-    region: np.ndarray
-
-    def class_map(self) -> np.ndarray:
-        """Return the classes at the size of the frame, (H, W) uint8."""
-        codes = range(1, int(self.classes.max(initial=0)) + 1)
-        claims = (np.uint8(code) * self.frame.back(self.classes == code) for code in codes)
-        return sum(claims, np.zeros(self.frame.source, np.uint8))
-
-
 def own_sampler(sampler: Sampler) -> Sampler:
     """Return a caller's sampler with a ValueError for anything but finite latents of the shape that was asked for."""
 
@@ -257,18 +76,6 @@ def own_sampler(sampler: Sampler) -> Sampler:
         return drawn.float()
 
     return call
-
-
-def check_stage_one(threshold: float | None, refine: RefineConfig | None) -> None:
-    """Refuse what cannot be asked of stage one.
-
-    Raises:
-        ValueError: for a threshold that is no probability, or kernels of another kind.
-    """
-    if threshold is not None and not (isinstance(threshold, Real) and 0 < threshold < 1):
-        raise ValueError(f"threshold: expected a probability between 0 and 1, got {threshold!r}")
-    if refine is not None and not isinstance(refine, RefineConfig):
-        raise ValueError(f"refine: expected a config.RefineConfig, got {refine!r}")
 
 
 def _device(name: str | torch.device) -> torch.device:
@@ -405,7 +212,7 @@ class Ditr:
         )
 
     def stated(
-        self, painting: Painting, mean: np.ndarray, kept: np.ndarray, region: np.ndarray, found: Found | None
+        self, painting: Painting, mean: np.ndarray, kept: np.ndarray, region: np.ndarray, found: Claim | None
     ) -> np.ndarray:
         """Return :func:`expected_error` of a composed frame, (H, W) float32 metres."""
         doubt = np.zeros_like(mean) if found is None else found.frame.back(found.probability)
@@ -443,14 +250,14 @@ class Ditr:
         depth: np.ndarray,
         threshold: float | None = None,
         refine: RefineConfig | None = None,
-    ) -> Found:
+    ) -> Claim:
         """Return what stage one says of a frame, at the working size; arguments as for :meth:`find_region`."""
         frame, classes = self.classify(rgb, depth)
         probability = 1 - classes[0]
         claimed = probability > (self.config.refine.threshold if threshold is None else threshold)
         likelier = np.where(claimed, 1 + classes[1:].argmax(axis=0), 0).astype(np.uint8)
         region = self.refine(claimed & frame.picture, refine)  # the padding is no glass, and none grows out of it
-        return Found(frame, probability, likelier, region)
+        return Claim(frame, probability, likelier, region)
 
     @torch.no_grad()
     def classify(self, rgb: np.ndarray, depth: np.ndarray) -> tuple[Frame, np.ndarray]:

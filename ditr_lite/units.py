@@ -82,10 +82,10 @@ def _strays(depth: np.ndarray, window: int) -> np.ndarray:
 
 def without_strays(depth: np.ndarray) -> np.ndarray:
     """Return depth (H, W) in metres as the networks see it: without its :func:`strays`, unless it has nothing else."""
-    return np.where(seen(depth), depth, 0).astype(np.float32)
+    return np.where(readings_seen(depth), depth, 0).astype(np.float32)
 
 
-def seen(depth: np.ndarray) -> np.ndarray:
+def readings_seen(depth: np.ndarray) -> np.ndarray:
     """Return (H, W) bool, the readings of depth (H, W) that the networks see: not :func:`strays`, unless all are."""
     read = depth > 0
     left = read & ~strays(depth)

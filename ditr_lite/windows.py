@@ -1,4 +1,7 @@
-"""How a picture comes to the size that networks see, and back: the whole frame, and windows around the region.
+"""How a picture comes to the size that networks see, and how what they make of it comes back to the picture's.
+
+First :class:`Frame` and :class:`Window`, then the results: a :class:`Claim` of stage one, the layers of a
+:class:`Painting`, and the :class:`Completion` that a caller is given, whose maps are made when they are asked for.
 
 A window is where the optical branch looks closely, one square around each blob of the region. Not in the paper, which
 works on whole frames at a size it does not name. On a laptop the working size is small, and a glass that is 60 pixels
@@ -8,6 +11,7 @@ is given squares twice as wide as what it must paint.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +20,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .conditioning import fill, pool
-from .units import seen, strips
+from .units import readings_seen, strips
 
 MARGIN = 2.0  # side of a window over the longer side of what it must hold
 LEAST = 0.2  # smallest side, as a share of the frame's longer side
@@ -141,7 +145,7 @@ def level(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> Tensor 
     Returns:
         (1, 1, H/2, W/2) logarithm of the ratio, rounded up; None where no reading counts.
     """
-    known = seen(depth)
+    known = readings_seen(depth)
     known &= ~region
     if not known.any():
         return None
@@ -270,3 +274,182 @@ def _home(box: np.ndarray, boxes: list[np.ndarray], shape: tuple[int, int], full
         return None
     centres = np.array([(b[:2] + b[2:]) / 2 for b in boxes])
     return int(np.argmin(np.linalg.norm(centres - (box[:2] + box[2:]) / 2, axis=1)))
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What stage one says of a frame, at the working size.
+
+    Attributes:
+        frame: how the frame lies in (h, w).
+        probability: (h, w) float32.
+        classes: (h, w) uint8, 0 where nothing is claimed, else the likelier class.
+        region: (h, w) bool, refined.
+    """
+
+    frame: Frame
+    probability: np.ndarray
+    classes: np.ndarray
+    region: np.ndarray
+
+    def class_map(self) -> np.ndarray:
+        """Return the classes at the size of the frame, (H, W) uint8."""
+        codes = range(1, int(self.classes.max(initial=0)) + 1)
+        claims = (np.uint8(code) * self.frame.back(self.classes == code) for code in codes)
+        return sum(claims, np.zeros(self.frame.source, np.uint8))
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What a branch made of a view, at network size, and where that lies in the frame.
+
+    Attributes:
+        mean, spread: (h, w) float32 metres, over samples.
+        view: how the view, a window or the frame, lies in (h, w).
+        window: None for the frame.
+        pixels: (H, W) bool, what is painted of the frame in a window.
+    """
+
+    mean: np.ndarray
+    spread: np.ndarray
+    view: Frame
+    window: Window | None = None
+    pixels: np.ndarray | None = None
+
+    def onto(self, image: np.ndarray, what: str, region: np.ndarray | None = None) -> None:
+        """Paint ``what``, "mean" or "spread", onto a map (H, W) in place; of a whole frame ``region`` alone, if any."""
+        painted = self.view.back(getattr(self, what))
+        if self.window is None:
+            np.copyto(image, painted, where=True if region is None else region)
+        else:
+            self.window.paste(painted, image, self.pixels)
+
+
+@dataclass(frozen=True)
+class Painting:
+    """What stage two made of a frame, before composition; its maps are made from network size when asked for.
+
+    Attributes:
+        whole: the geometric branch's, of the frame.
+        close: the optical branch's.
+        level: of the readings over the geometric branch's painting, see :func:`level`; None without any.
+        holes: (H, W) bool as bits, where there is no reading outside the region.
+        boundaries: M_RGB, M_D and M_DA of the frame, (h, w) bool.
+    """
+
+    whole: Layer
+    close: tuple[Layer, ...]
+    level: Tensor | None
+    holes: np.ndarray
+    boundaries: tuple[np.ndarray, ...]
+
+    @property
+    def windows(self) -> tuple[Window, ...]:
+        """Where the optical branch looked."""
+        return tuple(layer.window for layer in self.close if layer.window is not None)
+
+    @property
+    def geometric(self) -> np.ndarray:
+        """(H, W) float32 metres, painted over the whole frame; holes at the level of the readings around them.
+
+        Readings are not echoed: ``adjust`` asks for the painting.
+        """
+        view = self.whole.view
+        painted = view.back(self.whole.mean)
+        if self.level is not None:
+            tie(painted, self.level, np.unpackbits(self.holes, axis=1, count=view.source[1]).view(bool))
+        return painted
+
+    @property
+    def optical(self) -> np.ndarray:
+        """(H, W) float32 metres, painted in windows around the region; what the geometric branch painted elsewhere."""
+        image = self.geometric
+        for layer in self.close:
+            layer.onto(image, "mean")
+        return image
+
+    @property
+    def geometric_spread(self) -> np.ndarray:
+        """(H, W) float32 metres, standard deviation over samples."""
+        return self.whole.view.back(self.whole.spread)
+
+    @property
+    def optical_spread(self) -> np.ndarray:
+        """(H, W) float32 metres, likewise."""
+        image = self.geometric_spread
+        for layer in self.close:
+            layer.onto(image, "spread")
+        return image
+
+    def compose(self, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
+        """Return what ``pipeline.compose`` makes of this, (H, W) float32 metres, with fewer maps in memory at once."""
+        out = self.geometric
+        for layer in self.close:
+            layer.onto(out, "mean", region)
+        np.copyto(out, depth, where=(depth > 0) & ~region)
+        return out
+
+    def spread(self, region: np.ndarray) -> np.ndarray:
+        """Return (H, W) float32 metres, the spread of the branch that paints each pixel."""
+        out = self.geometric_spread
+        for layer in self.close:
+            layer.onto(out, "spread", region)
+        return out
+
+
+class OnDemand:
+    """A map of a result: an array, or a call that makes it when it is first asked for.
+
+    Most callers want ``depth`` alone, and of a large frame each map takes hundreds of megabytes.
+    """
+
+    def __init__(self, *default: Any):
+        self.default = default
+
+    def __set_name__(self, owner: type, name: str):
+        self.name = name
+
+    def __get__(self, result: Any, owner: type | None = None) -> Any:
+        if result is None and not self.default:
+            raise AttributeError(self.name)  # for dataclass: there is no default
+        if result is None:
+            return self.default[0]
+        held = result.__dict__[self.name]
+        if callable(held):
+            held = result.__dict__[self.name] = held()
+        return held
+
+    def __set__(self, result: Any, value: Any):
+        result.__dict__[self.name] = value
+
+
+@dataclass(frozen=True)
+class Completion:
+    """What ``pipeline.Ditr`` returns; all maps have the size of the input.
+
+    Depth, region and std are there; the other maps are made when they are first asked for.
+
+    Attributes:
+        depth: (H, W) float32 metres, dense.
+        region: (H, W) bool, after refinement (the caller's, if one was given).
+        std: (H, W) float32 metres, the error to expect (one standard deviation), see ``metrics.expected_error``.
+        boundary_rgb, boundary_depth, boundary_da: (H, W) bool, M_RGB, M_D and M_DA.
+        probability: (H, W) float32, stage one's belief before threshold and refinement; None for a given region.
+        optical, geometric: (H, W) float32 metres, each branch's own repainting before composition; the optical branch
+            paints its windows only and shows the geometric one's elsewhere.
+        windows: where the optical branch looked.
+        classes: (H, W) uint8, what stage one claims before refinement: 0 nothing, else the likelier of the classes
+            ``data.TRANSPARENT`` and ``data.REFLECTIVE``; None for a given region.
+    """
+
+    depth: np.ndarray
+    region: np.ndarray
+    std: np.ndarray
+    boundary_rgb: np.ndarray = OnDemand()
+    boundary_depth: np.ndarray = OnDemand()
+    boundary_da: np.ndarray = OnDemand()
+    probability: np.ndarray | None = OnDemand()
+    optical: np.ndarray = OnDemand()
+    geometric: np.ndarray = OnDemand()
+    windows: tuple[Window, ...]
+    classes: np.ndarray | None = OnDemand(None)

@@ -372,11 +372,15 @@ PARTITION = [
 REGION = [
     *family(
         "learning rates (S3)",
-        "training/as_the_paper",
+        "training/loop",
         ("cosine: whole period", "math.cos(math.pi * p)", "math.cos(2 * math.pi * p)"),
         ("cosine: not halved", "(1 + math.cos(math.pi * p)) / 2", "(1 + math.cos(math.pi * p))"),
         ("exponential: rises", "math.exp(-fall * p)", "math.exp(fall * p)"),
         ("exponential: dropped", " * math.exp(-fall * p)", ""),
+    ),
+    *family(
+        "learning rates (S3)",
+        "training/as_the_paper",
         ("TROSNet: sign of the fall", "0.001 - 0.0004 * fallen", "0.001 + 0.0004 * fallen"),
         ("TROSNet: period", "iteration / 228", "iteration / 150"),
         ("deep supervision of nothing", "drawn.material, weight)", "0 * drawn.material, weight)"),
@@ -399,7 +403,7 @@ REGION = [
         ),
         ("RMSE: not in metres", "(depth_m - batch.truth_m)", "(depth_m - batch.gt_n)"),
         ("RMSE: unknown truth scored", ".square() * batch.gt_known", ".square()"),
-        ("weight dropped", "total = segmentation + rmse_weight * rmse", "total = segmentation + rmse"),
+        ("weight dropped", "segmentation + rmse_weight * rmse", "segmentation + rmse"),
         ("painted for the found region alone", "torch.maximum(hard, batch.region)", "hard"),
         ("branches swapped", "return drawn[0], drawn[1]", "return drawn[1], drawn[0]"),
     ),

@@ -21,6 +21,7 @@ from ..stage_two import BRANCHES, Painter
 from ..store import CARD, WEIGHTS, copy_part, copy_weights, load_part, read_card, save_part
 from . import recipes
 from .batches import Batch, frames_in_order, windows_in_order
+from .kept_maps import SLOW, KeptMaps
 from .loop import ENGINE, Engine, Recipe, Step, fit, is_first, wait_for_all
 from .readers import RealFrames
 from .scenes import Pool, Scenes, checksum, load_scenes
@@ -277,6 +278,8 @@ def validate_branch(
 def held_out_batches(branch: str, scenes: Scenes, config: Config, boundary: str = "classical") -> Iterator[Batch]:
     """Yield what a branch is validated on: windows for the optical one, whole frames for the geometric one."""
     backend = get_backend(boundary)
+    if boundary in SLOW:
+        backend = KeptMaps(backend)
     if branch == "optical" and config.window:
         return windows_in_order(scenes, config.window, backend=backend)
     return frames_in_order(scenes, config.size, backend=backend)

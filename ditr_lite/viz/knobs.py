@@ -1,4 +1,4 @@
-"""Pictures with knobs: sliders where the front end can show them, elsewhere a row of pictures at chosen settings.
+"""Pictures with knobs: a row of pictures at chosen settings, below sliders where the front end can show them.
 
 A kernel is not told which program reads its outputs. Programs that can show widgets leave a trace in its environment
 when they start it; those that only execute a notebook (nbconvert, nbval, nbclient) do not.
@@ -38,10 +38,11 @@ def knobs(
         row: settings, each with one value for every knob: what the static row shows; sliders start at the first.
         panels: axes that one setting needs; beside each other with sliders, beneath each other in the row.
         size: width and height of one axes, inches; the row is at most as wide as a notebook.
-        live: sliders (True) or the row (False); None asks :func:`front_end`.
+        live: sliders and the row (True) or the row alone (False); None asks :func:`front_end`.
 
     Returns:
-        An ``ipywidgets.VBox`` of sliders above the picture, or a :class:`~ditr_lite.panels.Picture`.
+        An ``ipywidgets.VBox`` of sliders, the picture that they move and the row, or the row alone, a
+        :class:`~ditr_lite.viz.panels.Picture`.
 
     Raises:
         ValueError: when a setting lacks a knob, has one too many, or a value that the knob cannot take.
@@ -55,7 +56,7 @@ def knobs(
             if value not in values[name]:
                 raise ValueError(f"{name} = {value!r} is not among its values; add it to values[{name!r}]")
     live = front_end() if live is None else live
-    return _sliders(draw, values, row[0], panels, size) if live else _draw(draw, row, panels, size, across=False)
+    return _sliders(draw, values, row, panels, size) if live else _draw(draw, row, panels, size, across=False)
 
 
 def _draw(draw, settings, panels, size, across) -> Picture:
@@ -70,14 +71,14 @@ def _draw(draw, settings, panels, size, across) -> Picture:
     return figure
 
 
-def _sliders(draw, values, start, panels, size):
-    """Return sliders above an image that is drawn again whenever one of them comes to rest."""
+def _sliders(draw, values, row, panels, size):
+    """Return sliders above an image that is drawn again whenever one of them comes to rest, and the row below it."""
     import ipywidgets  # not before it is needed: without a front end nothing should be sent to one
 
     sliders = {
         name: ipywidgets.SelectionSlider(
             options=[(f"{v:g}" if isinstance(v, float) else str(v), v) for v in options],
-            value=start[name],
+            value=row[0][name],
             description=name.replace("_", " "),
             continuous_update=False,
             style={"description_width": "initial"},
@@ -85,7 +86,9 @@ def _sliders(draw, values, start, panels, size):
         for name, options in values.items()
     }
     # as large as it is drawn: a box would stretch it to its own width
-    picture = ipywidgets.Image(format="png", layout={"align_self": "flex-start", "max_width": "100%"})
+    layout = {"align_self": "flex-start", "max_width": "100%"}
+    picture = ipywidgets.Image(format="png", layout=layout)
+    still = ipywidgets.Image(format="png", layout=layout, value=_draw(draw, row, panels, size, across=False).png())
     size = tuple(LIVE_SCALE * inches for inches in size)
 
     def redraw(_=None) -> None:
@@ -95,4 +98,4 @@ def _sliders(draw, values, start, panels, size):
     for slider in sliders.values():
         slider.observe(redraw, "value")
     redraw()
-    return ipywidgets.VBox([*sliders.values(), picture])
+    return ipywidgets.VBox([*sliders.values(), picture, still])

@@ -29,9 +29,10 @@ from ..units import check_metres
 
 OKABE_ITO = ("#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#000000")
 GREY = "#9E9E9E"  # no value
-# The book shows 880 pixels across, JupyterLab on a laptop about as many. Type of 9.5 pt is 12.7 of them: it can be read
-# on a projector.
-WIDTH_IN, DPI, FONT = 9.2, 96, 9.5
+# The narrowest column of the book at a screen's size has 736 pixels: there, type of 9.9 pt in a figure of 800 pixels is
+# 12 pixels high and can be read on a projector.
+DPI, FONT = 96, 9.9
+WIDTH_IN = 800 / DPI
 SMALLEST_TYPE = "smallest type (px)"  # a remark in the PNG
 ERROR_MM = 50.0  # upper end of |error| where no row fixes it
 BARS = {"depth": "depth (m)", "error": "|error| (mm)", "signed": "error (mm), + is too far", "spread": "std (mm)"}

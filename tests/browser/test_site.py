@@ -90,6 +90,20 @@ def test_no_page_is_wider_than_a_phone_or_a_laptop(found):
     assert found["width"] == {}
 
 
+NARROW = """
+return [...document.querySelectorAll(".cell_output img")].map(e => [e.clientWidth, e.naturalWidth]).filter(
+  ([shown, own]) => !own || shown < Math.min(own, arguments[0]));
+"""
+COLUMN_PX = 736  # shown so wide, a figure's smallest type is 12 pixels high
+
+
+@pytest.mark.parametrize("width", [390, 768, 1024, 1280, 1312, 1366, 1920])
+def test_figures_are_shown_at_a_size_at_which_their_words_can_be_read(driver, site, width):
+    show(driver, site + "notebooks/04_ddpm_math.html", width=width)
+    assert driver.execute_script(NARROW, COLUMN_PX) == []
+    assert driver.execute_script(BEYOND) <= 0
+
+
 def test_axe_finds_nothing_serious(found):
     assert found["axe"] == {}
 

@@ -42,7 +42,7 @@ def test_a_front_end_is_recognised_by_its_trace(no_front_end, monkeypatch, name)
 
 
 def test_sliders_start_at_the_first_setting_and_redraw():
-    slope, offset, image = knobs(line, VALUES, ROW, live=True).children
+    slope, offset, image, still = knobs(line, VALUES, ROW, live=True).children
     assert (slope.value, offset.value) == (0.5, 1) and [v for _, v in slope.options] == [0.5, 1.0, 2.0]
     before = image.value
     assert Image.open(io.BytesIO(before)).format == "PNG"
@@ -50,6 +50,7 @@ def test_sliders_start_at_the_first_setting_and_redraw():
     assert image.value != before
     slope.value = 0.5
     assert image.value == before
+    assert still.value == knobs(line, VALUES, ROW, live=False).png()  # the row stands below, and stays
 
 
 def test_panels_of_one_setting_lie_beneath_each_other_in_the_row_and_beside_each_other_with_sliders():
@@ -60,7 +61,8 @@ def test_panels_of_one_setting_lie_beneath_each_other_in_the_row_and_beside_each
 
     knobs(two, VALUES, ROW, panels=2, live=False)
     knobs(two, VALUES, ROW, panels=2, live=True)
-    assert seen == [[(0, 0), (1, 0)], [(0, 1), (1, 1)], [(0, 0), (0, 1)]]
+    row = [[(0, 0), (1, 0)], [(0, 1), (1, 1)]]
+    assert seen == [*row, *row, [(0, 0), (0, 1)]]  # without sliders the row; with them the row and what they move
 
 
 def test_the_static_row_loads_no_widgets():

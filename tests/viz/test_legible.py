@@ -12,10 +12,10 @@ from PIL import Image
 from ditr_lite import viz
 from ditr_lite.camera import Camera
 from ditr_lite.data import list_samples, load_sample
-from ditr_lite.viz import clouds, knobs, panels, studies
+from ditr_lite.viz import clouds, drawings, knobs, panels, studies
 from ditr_lite.viz.panels import DPI, Picture
 
-LEAST_PX, WIDEST_PX = 12, 883
+LEAST_PX, WIDEST_PX, COLUMN_PX = 12, 800, 736
 
 
 def crowded():
@@ -115,7 +115,7 @@ def test_several_panels_take_the_whole_width_and_one_what_it_asks_for():
         for ax in np.atleast_1d(figure.subplots(1, columns)):
             figure.colorbar(ax.imshow(np.zeros((3, 4))), ax=ax)
         figure.make_legible()
-    assert several.get_size_inches() == pytest.approx([panels.WIDTH_IN, 2 * 2**0.4])
+    assert several.get_size_inches() == pytest.approx([panels.WIDTH_IN, 2 * (panels.WIDTH_IN / 4.6) ** 0.4])
     assert one.get_size_inches() == pytest.approx([4.6, 2])
 
 
@@ -158,9 +158,14 @@ EVERY = {
     "error": lambda: one_panel(lambda ax: viz.error(ax, SCENE.depth, SCENE.depth_gt)),
     "signed_error": lambda: one_panel(lambda ax: viz.signed_error(ax, SCENE.depth, SCENE.depth_gt)),
     "spread": lambda: one_panel(lambda ax: viz.spread(ax, SCENE.depth_gt)),
+    "heat": lambda: one_panel(lambda ax: viz.heat(ax, SCENE.depth_gt, "probability", (0, 1))),
     "labels": lambda: one_panel(lambda ax: viz.labels(ax, SCENE.loss, {k: f"kind {k}" for k in range(7)})),
     "point_cloud_side": lambda: one_panel(lambda ax: viz.point_cloud_side(ax, SCENE.depth, SCENE.camera, label="raw")),
     "static": lambda: clouds.static(MAPS, SCENE.rgb, SCENE.camera),
+    "system": drawings.system,
+    "stage_one": drawings.stage_one,
+    "autoencoder": drawings.autoencoder,
+    "unet": drawings.unet,
     "knobs, row": lambda: knobs.knobs(steps, {"k": (1, 2, 3)}, [{"k": 1}, {"k": 2}, {"k": 3}], live=False),
     "intervals": lambda: one_panel(
         lambda ax: studies.intervals(ax, {"a": (0.01, 0.0, 0.02), "b": None}, "mm", "title")
@@ -179,12 +184,15 @@ EVERY = {
 def test_every_kind_of_picture_can_be_read_in_a_room(name):
     figure = EVERY[name]()
     image = saved(figure)
-    assert image.width <= WIDEST_PX and float(image.text[panels.SMALLEST_TYPE]) >= LEAST_PX
-    assert min(text.get_fontsize() for text in figure.findobj(Text)) * DPI / 72 >= LEAST_PX
+    assert image.width <= WIDEST_PX
+    shown = min(1, COLUMN_PX / image.width)
+    assert float(image.text[panels.SMALLEST_TYPE]) * shown >= LEAST_PX
+    written = [text.get_fontsize() for text in figure.findobj(Text) if text.get_text().strip()]
+    assert min(written) * DPI / 72 * shown >= LEAST_PX
 
 
 def test_every_function_that_draws_is_among_them():
-    places = (viz.panels, viz.grids, viz.studies, clouds, knobs)
+    places = (viz.panels, viz.grids, viz.studies, clouds, drawings, knobs)
     returns = {
         name
         for place in places
@@ -201,8 +209,8 @@ def test_every_function_that_draws_is_among_them():
 def test_a_saved_panel_and_a_slider_can_be_read_too(tmp_path):
     viz.save_panel(tmp_path / "p.png", SCENE.rgb, SCENE.depth, SCENE.depth_gt, SCENE.region, SCENE.depth_gt)
     image = Image.open(tmp_path / "p.png")
-    shown = min(1, WIDEST_PX / image.width)
+    shown = min(1, COLUMN_PX / image.width)
     assert float(image.text[panels.SMALLEST_TYPE]) * shown >= LEAST_PX
     box = knobs.knobs(steps, {"k": (1, 2)}, [{"k": 1}], live=True)
     image = Image.open(io.BytesIO(box.children[-1].value))
-    assert image.width <= WIDEST_PX and float(image.text[panels.SMALLEST_TYPE]) >= LEAST_PX
+    assert image.width <= WIDEST_PX and float(image.text[panels.SMALLEST_TYPE]) >= LEAST_PX * WIDEST_PX / COLUMN_PX

@@ -1,0 +1,52 @@
+"""Train variants of the denoiser for the same processor time each, and score them on validation scenes.
+
+python tools/denoiser_study.py --minutes 1.5 [--data FOLDER ...] [--work outputs/denoisers] [--json FILE]
+
+A stopped run goes on where it was.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import torch
+from tqdm.auto import tqdm
+
+from ditr_lite.data import SAMPLES
+from ditr_lite.evaluation import results
+from ditr_lite.peers import system
+from ditr_lite.peers.train import peer_config
+from ditr_lite.store import WEIGHTS
+from ditr_lite.studies import denoisers
+from ditr_lite.training.scenes import Pool, load_scenes
+
+
+def main() -> None:
+    """Parse the arguments, train, score, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=1.5, help="of processor time a variant (%(default)s)")
+    homes = [Path("outputs/scenes") / split for split in ("train", "rooms_train")]
+    parser.add_argument("--data", type=Path, nargs="+", default=homes, help="folders of rendered scenes")
+    parser.add_argument("--work", type=Path, default=Path("outputs/denoisers"), help="for checkpoints")
+    parser.add_argument("--limit", type=int, help="use only the first scenes of each folder")
+    parser.add_argument("--json", type=Path, default=results.results_path("denoiser"))
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    config = peer_config()
+    given, pool = system.given(WEIGHTS, config), Pool([load_scenes(folder, args.limit) for folder in args.data])
+    held_out, errors, trained = load_scenes(SAMPLES / "val"), {}, {}
+    for name in tqdm(denoisers.DENOISERS, desc="variants", unit="variant"):
+        painter, own, trained[name] = denoisers.train_denoiser(name, args.minutes, pool, given, config, args.work)
+        errors[name] = {
+            denoisers.way_of(*asked): denoisers.denoiser_errors(painter, own, held_out, *asked).tolist()
+            for asked in denoisers.ASKED
+        }
+    report = {"minutes": args.minutes, "scenes": len(pool), "trained": trained, "errors": errors}
+    report["summary"] = denoisers.summarise_denoisers(errors)
+    print(denoisers.format_denoisers(report))
+    command = results.tool_command("denoiser_study", sys.argv[1:])
+    results.write(args.json, results.head(command, parts=["autoencoder", "encoder"]), report)
+
+
+if __name__ == "__main__":
+    main()
