@@ -2,7 +2,7 @@
 # PYTHON is the interpreter from which the environment is built (3.11 or newer), VENV where it goes, ARGS is passed on.
 
 PYTHON ?= python3
-TARGETS := setup class lab demo test mutants lint notebooks students slides timings book offline-kit samples train bench clean
+TARGETS := setup class lab demo test mutants lint notebooks students slides timings book offline-kit samples train bench soak clean
 
 export VENV LIMIT
 

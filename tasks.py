@@ -218,6 +218,12 @@ def bench(arguments):
     python("-m", "ditr_lite", "bench", "--split", "test", "--json", "outputs/bench.json", *arguments)
 
 
+def soak(arguments):
+    """Put the system through large frames, full disks, damaged files and kills, and print the table (15 minutes)."""
+    install(FULL)
+    python("tools/soak.py", "--json", "outputs/soak.json", *arguments)
+
+
 def clean(arguments):
     """Remove what is quickly made again; rendered scenes, training, copies for students and the environment stay."""
     for pattern in ("book", "slides", "*.html", "*.json"):
@@ -245,6 +251,7 @@ COMMANDS = {
     "samples": samples,
     "train": train,
     "bench": bench,
+    "soak": soak,
     "clean": clean,
 }
 

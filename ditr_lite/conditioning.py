@@ -111,12 +111,7 @@ def fill(depth_n: Tensor, known: Tensor, rounds: int = 4) -> Tensor:
 
 
 def pool(depth_n: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
-    """Return means of known pixels over blocks of 2x2, and the share of known ones, both (B, 1, H/2, W/2) rounded up.
-
-    Args:
-        depth_n: (B, 1, H, W).
-        known: (B, 1, H, W) 0/1.
-    """
+    """Return means of known pixels of blocks of 2x2, and the share of known ones, (B, 1, H/2, W/2) each, rounded up."""
     share = F.avg_pool2d(known, 2, ceil_mode=True, count_include_pad=False)
     mean = F.avg_pool2d(depth_n * known, 2, ceil_mode=True, count_include_pad=False)
     return mean / share.clamp(min=1e-6), share

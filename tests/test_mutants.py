@@ -43,6 +43,9 @@ FORMULAS = {  # each has its own family of mistakes
     "cameras of datasets",
     "stage one in a frame",
     "stage one scored",
+    "sensors' noise and dropouts",
+    "calibration",
+    "a frame's way back",
 }
 
 

@@ -4,11 +4,11 @@ import torch
 
 from ditr_lite import pipeline
 from ditr_lite.config import RefineConfig, override, preset
-from ditr_lite.pipeline import Ditr, Layer, Painting, build, compose
+from ditr_lite.pipeline import Ditr, build, compose
 from ditr_lite.region import refine_region
 from ditr_lite.stage_two import BRANCHES, Plan
 from ditr_lite.store import load_parts, save_part
-from ditr_lite.windows import MOST, fit_frame, level, tie
+from ditr_lite.windows import MOST, Layer, Painting, fit_frame, level, tie
 
 TINY = override(preset("tiny"), **{"sampler.steps": 2, "sampler.samples": 1})
 

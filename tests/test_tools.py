@@ -228,3 +228,29 @@ def test_the_peers_go_into_the_readme(monkeypatch):
     assert "the same 938 scenes for 1.5 min" in text and "128 x 96" in text and "earlier weights" in text
     assert all(f"| {name} | {says} |" in text for name, says in peer_tables.IDEAS.items())
     assert text.count("+DP after BB, optical, per training seed") == 2 and "1 without" in text
+
+
+soak = load("soak")
+
+
+@pytest.mark.parametrize("check", [soak.two_runs, soak.disk_is_full, soak.folder_is_read_only, soak.weights_damaged])
+def test_what_breaks_programs_does_not_break_this_one(check, monkeypatch):
+    monkeypatch.setattr(soak, "DAMAGES", 24)
+    found = soak.run(check, 0)
+    assert found["right"] == found["tried"] > 1, found
+
+
+def test_a_check_that_fails_or_raises_is_counted_as_wrong(monkeypatch, capsys):
+    def half(folder, rng):
+        """Half of it is right."""
+        return soak.row([True, False], "1 mm")
+
+    def broken(folder, rng):
+        """It raises."""
+        raise OSError("no\nspace")
+
+    monkeypatch.setattr(soak, "CHECKS", (half, broken))
+    assert soak.main([]) == 1
+    assert "1 of   2 right" in (printed := capsys.readouterr().out) and "OSError: no space" in printed
+    table = load("readme_results").soak({"command": "x", "checks": [soak.run(half, 0)]})
+    assert "| Half of it is right | 1 of 2 | 1 mm |" in table

@@ -21,12 +21,12 @@ import ditr_lite as dl
 from ditr_lite.config import Config, StdConfig, to_dict
 from ditr_lite.data import Sample
 from ditr_lite.evaluation import results, uncertainty
+from ditr_lite.evaluation.uncertainty import KEPT
 from ditr_lite.files import written_whole
 from ditr_lite.pipeline import Ditr
 from ditr_lite.stage_two import BRANCHES
 from ditr_lite.store import CARD, WEIGHTS, read_card
 
-KEPT = "kept"  # readings that were not painted
 LEAST = 1e-30  # probabilities below this count as this
 DIGITS = 4
 
@@ -60,9 +60,8 @@ def collect(ditr: Ditr, samples: list[Sample]) -> dict[str, np.ndarray]:
     found = {kind: [] for kind in (*BRANCHES, KEPT)}
     for sample in tqdm(samples, desc="completing", unit="frame"):
         out = ditr(sample.rgb, sample.depth)
-        known, read = sample.depth_gt > 0, sample.depth > 0
-        places = (out.region, ~out.region & ~read, ~out.region & read)
-        for kind, where in zip(found, places, strict=True):
+        known = sample.depth_gt > 0
+        for kind, where in uncertainty.pixel_sets(out.region, sample.depth).items():
             at = where & known
             columns = (out.depth - sample.depth_gt, out.std, out.depth, out.probability)
             found[kind].append(np.stack([column[at] for column in columns]))
@@ -119,6 +118,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, default=results.results_path("calibration"))
     words = sys.argv[1:] if arguments is None else arguments
     args = parser.parse_args(words)
+    uncertainty.check_fitted_on(args.fit)
     shipped = dl.Ditr.from_pretrained(args.weights)
     samples = some_samples(args.fit, args.limit)
     refine = replace(shipped.config.refine, temperature=fitted_temperature(shipped, samples))

@@ -229,7 +229,7 @@ windows.choose_windows | test_windows.py::test_every_pixel_of_a_region_is_painte
 the optical branch looks at a square around each piece of the region, not at the whole frame
 
 N2 | done | 02_region_refinement | Where the paper differs
-region.ColourEncoder | region/test_encoder.py::test_folded_weights_compute_what_convolutions_and_batch_norms_did
+region.ColourEncoder | training/test_pretrained.py::test_folded_weights_compute_what_convolutions_and_batch_norms_did
 colour goes through an encoder that was trained on real pictures, not on rendered ones
 
 N3 | done | 06_full_pipeline | 10 · Decode both branches and sharpen

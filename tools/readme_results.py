@@ -163,6 +163,15 @@ def disturbances(result: dict) -> str:
     return "\n".join([*lines, "", f"Command: `{result['command']}`."])
 
 
+def soak(result: dict) -> str:
+    """Return the table of what was tried to break the system."""
+    lines = ["**What it was put through**, and how often what happened was right:", ""]
+    lines += ["| check | right | measured |", "|---|---:|---|"]
+    for check in result["checks"]:
+        lines.append(f"| {check['check']} | {check['right']} of {check['tried']} | {check['measured']} |")
+    return "\n".join([*lines, "", f"Command: `{result['command']}`, or `make soak`."])
+
+
 def scene_count(part: dict) -> int:
     """Return how many scenes a part was trained on: its card says it in one number or in one a group of scenes."""
     scenes = part["scenes"]
@@ -213,6 +222,9 @@ def main() -> None:
         found = json.loads(robust.read_text(encoding="utf-8"))
         if found.get("disturbances"):
             made += "\n\n" + disturbances(found)
+    soaked = args.json.with_name("results_soak.json")
+    if soaked.is_file():
+        made += "\n\n" + soak(json.loads(soaked.read_text(encoding="utf-8")))
     made += "\n\n" + training(read_card())
     args.readme.write_text(f"{before}{START}\n{made}\n{END}{after}", encoding="utf-8")
 

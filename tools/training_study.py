@@ -22,6 +22,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -43,19 +44,27 @@ ROOT = Path(__file__).resolve().parents[1]
 SENSOR = "structure"
 
 
-def outlines(folder: Path | None, steps: int, watch=None, every: int = 500, engine: loop.Engine | None = None) -> dict:
-    """Train the network that finds outlines in depth on shipped scenes; return its notes and held-out loss."""
+@cache
+def crops_of(split: str, batch: int):
+    """Return what draws crops of a shipped split, read once."""
+    found = scenes.load_scenes(SAMPLES / split)
+    return partial(boundary.draw_outlines, "depth", found, boundary.exact_outlines(found)["depth"], batch, 0)
+
+
+def outlines(folder: Path | None, steps: int, watch=None, every: int = 500, batch: int = 8) -> dict:
+    """Train the network that finds outlines in depth on shipped scenes; without a folder, score it on others, too."""
     torch.manual_seed(0)
     net = build_nets()["depth"].to(memory_format=torch.channels_last)
-    recipe = loop.Recipe(steps=steps, batch=8, lr=3e-3, warmup=min(10, steps), decay=0.9)
-    step = boundary.boundary_step("depth", net, scenes.load_scenes(SAMPLES / "train"), recipe)
-    held_out = boundary.boundary_step("depth", net, scenes.load_scenes(SAMPLES / "val"), recipe, seed=1)
+    recipe = loop.Recipe(steps=steps, batch=batch, lr=3e-3, warmup=min(10, steps), decay=0.9)
+    score = partial(boundary.score_crops, net)
 
     def validate() -> dict[str, float]:
+        held_out = loop.Step(crops_of("val", batch), score)
         return {"val": float(np.mean([float(held_out(k)["total"]) for k in range(8)]))}
 
-    how = {"watch": watch, "engine": engine or loop.Engine(cpu=True), "progress": False}
-    return loop.fit("outlines", net, step, recipe, folder, validate, every, **how)
+    how = {"watch": watch, "engine": loop.Engine(cpu=True), "progress": False}
+    step = loop.Step(crops_of("train", batch), score)
+    return loop.fit("outlines", net, step, recipe, folder, validate if folder is None else None, every, **how)
 
 
 # --- processes --------------------------------------------------------------------------------------------------------
@@ -105,6 +114,7 @@ def worker(options: argparse.Namespace) -> dict:
 def kills(options: argparse.Namespace) -> dict:
     """Kill a training at random moments, go on, and compare the last checkpoint's tensors with a training without."""
     rng = np.random.default_rng(options.seed)
+    crops_of("train", 2)  # read before the processes begin, which inherit it
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
         begun = time.monotonic()
@@ -126,7 +136,7 @@ def kills(options: argparse.Namespace) -> dict:
 def _in_a_process(folder: Path, steps: int, kill_after: float | None) -> int:
     """Train in a process of its own, kill it after some seconds, and return the step of the checkpoint there is."""
     method = "fork" if sys.platform.startswith("linux") else "spawn"
-    process = multiprocessing.get_context(method).Process(target=outlines, args=(folder, steps, None, 2))
+    process = multiprocessing.get_context(method).Process(target=outlines, args=(folder, steps, None, 2, 2))
     process.start()
     process.join(kill_after)
     process.kill()

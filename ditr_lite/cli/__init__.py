@@ -4,7 +4,9 @@ Here the commands are only put together. Each brings a pair: ``add_arguments(par
 ends with exit code 2 and one line on stderr, an interruption with 130 and one line.
 """
 
+import signal
 import sys
+import threading
 import warnings
 from argparse import ArgumentParser
 from collections.abc import Callable, Sequence
@@ -30,6 +32,10 @@ COMMANDS = {
 BAD_INPUT = (ValueError, OSError, ImportError, RuntimeError)
 
 
+class Ended(BaseException):
+    """The process was asked to end."""
+
+
 class Parser(ArgumentParser):
     """A parser that reports a bad command line as it is reported everywhere else: one line, no usage page."""
 
@@ -45,10 +51,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: what follows ``python -m ditr_lite``; the process's own by default.
 
     Returns:
-        The exit code: 0; 2 for bad input; 3 where some of many frames failed; 130 after an interruption.
+        The exit code: 0; 2 for bad input; 3 where some of many frames failed; 130 after an interruption, 143 after
+        SIGTERM.
     """
     argv = list(sys.argv[1:] if argv is None else argv)
     try:
+        _end_in_order()
         options = parser().parse_args(argv)
         options.argv = argv
         with warnings.catch_warnings():
@@ -59,8 +67,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _report(f"error: {' '.join(str(error).split())}", 2)
     except MemoryError:
         return _report("error: not enough memory for this; take fewer samples, a smaller batch or smaller frames", 2)
+    except Ended:
+        return _report("ended by SIGTERM", 128 + signal.SIGTERM)
     except KeyboardInterrupt:
         return _report("interrupted", 130)
+
+
+def _end_in_order() -> None:
+    """Let SIGTERM end a command as Ctrl-C does: temporary files go, workers end, one line is printed."""
+
+    def end(*_) -> NoReturn:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # whoever is impatient sends it again
+        raise Ended
+
+    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, end)
 
 
 def parser() -> Parser:

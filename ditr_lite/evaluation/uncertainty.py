@@ -14,6 +14,8 @@ from scipy.stats import norm
 
 from ..data import Sample
 
+KEPT = "kept"  # readings that were not painted
+HELD_OUT = ("test", "rooms")  # splits that nothing is fitted on
 GARBAGE = 0.25  # a reading off by a larger share of its depth is a stray
 
 
@@ -85,6 +87,27 @@ def gaussian_crps(error: np.ndarray, std: np.ndarray) -> float:
     error, std = _pair(error, std)
     z = error / std
     return float((std * (z * (2 * norm.cdf(z) - 1) + 2 * norm.pdf(z) - 1 / sqrt(pi))).mean())
+
+
+def check_fitted_on(splits: Sequence[str]) -> None:
+    """Refuse to fit constants on scenes that are there to test them.
+
+    Raises:
+        ValueError: for the test splits.
+    """
+    if held := [name for name in splits if name in HELD_OUT]:
+        raise ValueError(f"{held[0]} is held out: fit on validation scenes, e.g. val rooms_val, and check on it")
+
+
+def pixel_sets(region: np.ndarray, depth: np.ndarray) -> dict[str, np.ndarray]:
+    """Return which pixels each branch painted and which were kept: "optical", "geometric" and "kept", (H, W) bool.
+
+    Args:
+        region: (H, W) bool, as the system used it.
+        depth: (H, W) raw metres, 0 = missing.
+    """
+    read = depth > 0
+    return {"optical": region, "geometric": ~region & ~read, KEPT: ~region & read}
 
 
 def fit_error(error: np.ndarray, spread: np.ndarray, depth: np.ndarray) -> tuple[float, float]:

@@ -19,6 +19,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +35,11 @@ from ..files import write_json
 from ..metrics import rmse
 from ..pipeline import build
 from ..schedule import make_schedule
-from ..stage_two import BRANCHES, Views
+from ..stage_two import BRANCHES, Painter, Views
 from ..store import WEIGHTS, copy_part, read_card, save_part
 from ..training import recipes
 from ..training.batches import Batch
-from ..training.loop import Recipe, fit
+from ..training.loop import Losses, Recipe, Share, Step, fit
 from ..training.parts import painter_of
 from ..training.scenes import Pool, checksum, first, load_scenes
 from . import system
@@ -244,20 +245,21 @@ def step_loss(name: str, net: nn.Module, parts: nn.ModuleDict, pool: Pool, confi
 
 def idea_step(
     idea: Idea, encoder: nn.Module | None, pool: Pool, config: Config, backend: Backend, seed: int = 0
-) -> Callable[[int], dict[str, Tensor]]:
-    """Return the step loss of an idea: windows and whole frames in turn."""
+) -> Step:
+    """Return the step of an idea: windows and whole frames in turn."""
+    draw = partial(recipes.draw_in_turn, BRANCHES, pool, config, RECIPE, backend, seed)
+    return Step(draw, partial(score_idea, idea, encoder), () if encoder is None else (encoder,))
 
-    def loss(step: int) -> dict[str, Tensor]:
-        branch = BRANCHES[step % len(BRANCHES)]
-        batch = recipes.branch_batch(branch, pool, config, RECIPE.batch, recipes.rng_of(seed, step), backend)
-        views, paint = shown_views(branch, batch)
-        colour = []
-        if encoder is not None:
-            with torch.no_grad():
-                colour = encoder(recipes.cl(batch.rgb))[1:]
-        return idea.losses(views, colour, batch, paint)
 
-    return loss
+def score_idea(idea: Idea, encoder: nn.Module | None, drawn: tuple[str, Batch], step: int, share: Share) -> Losses:
+    """Score what an idea makes of a batch."""
+    branch, batch = drawn
+    views, paint = shown_views(branch, batch)
+    colour = []
+    if encoder is not None:
+        with torch.no_grad():
+            colour = encoder(recipes.cl(batch.rgb))[1:]
+    return idea.losses(views, colour, batch, paint)
 
 
 def shown_views(branch: str, batch: Batch) -> tuple[Views, Tensor]:
@@ -268,9 +270,9 @@ def shown_views(branch: str, batch: Batch) -> tuple[Views, Tensor]:
 
 
 def single_step(
-    painter, pool: Pool, config: Config, backend: Backend, seed: int = 0, windows: bool = True
-) -> Callable[[int], dict[str, Tensor]]:
-    """Return the step loss of the single denoiser: a branch's (Paper: Eq. 8), without a region.
+    painter: Painter, pool: Pool, config: Config, backend: Backend, seed: int = 0, windows: bool = True
+) -> Step:
+    """Return the step of the single denoiser: a branch's (Paper: Eq. 8), without a region.
 
     Args:
         painter: whose denoiser it is.
@@ -280,16 +282,20 @@ def single_step(
         seed: of everything random.
         windows: every other batch shows windows; where False all are whole frames, every known cell counting alike.
     """
-    schedule = make_schedule(config.schedule)
+    turns = BRANCHES if windows else ("geometric",)
+    draw = partial(recipes.draw_in_turn, turns, pool, config, RECIPE, backend, seed)
+    return Step(draw, partial(score_single, painter, config, windows), recipes.frozen_of(painter))
 
-    def loss(step: int) -> dict[str, Tensor]:
-        branch = BRANCHES[step % len(BRANCHES)] if windows else "geometric"
-        batch = recipes.branch_batch(branch, pool, config, RECIPE.batch, recipes.rng_of(seed, step), backend)
-        views, paint = shown_views(branch, batch)
-        nowhere = torch.zeros_like(batch.region)
-        given = condition(views.rgb, views.depth_n, views.valid, nowhere, views.guide, evidence=False)
-        where = paint if windows else torch.ones_like(paint)
-        mask = F.avg_pool2d(where * batch.gt_known, 4) + (0.05 if windows else 0.0)
-        return {"total": recipes.denoising_loss(painter, batch, given, mask, schedule, config.sampler.prediction)}
 
-    return loss
+def score_single(
+    painter: Painter, config: Config, windows: bool, drawn: tuple[str, Batch], step: int, share: Share
+) -> Losses:
+    """Score what the single denoiser makes of a batch."""
+    branch, batch = drawn
+    views, paint = shown_views(branch, batch)
+    nowhere = torch.zeros_like(batch.region)
+    given = condition(views.rgb, views.depth_n, views.valid, nowhere, views.guide, evidence=False)
+    where = paint if windows else torch.ones_like(paint)
+    mask = F.avg_pool2d(where * batch.gt_known, 4) + (0.05 if windows else 0.0)
+    schedule, prediction = make_schedule(config.schedule), config.sampler.prediction
+    return {"total": recipes.denoising_loss(painter, batch, given, mask, schedule, prediction, share)}

@@ -6,9 +6,15 @@ needs it.
 """
 
 import os
+import shutil
+import signal
+import time
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import cv2
@@ -31,6 +37,9 @@ ROOM_SIZE = (240, 320)  # the same of the room scenes
 ROOM_WIDEST = 420  # pixels of an infrared view
 ROOM_SAMPLES, ROOM_INFRARED_SAMPLES = 7, 3  # paths per pixel
 ROOM_DEPTH, ROOM_INFRARED_DEPTH = 10, 6  # segments of a path
+
+PATIENCE_S = 10.0  # that a worker is waited for which was told to end
+LEFTOVER_S = 3600.0  # age from which a half-written scene is a leftover
 
 
 def simulate(seed: int, split: str = "train", keep_infrared: bool = False, preset: str | None = None) -> Sample:
@@ -200,23 +209,58 @@ def simulate_many(
     mitsuba()
     folder.mkdir(parents=True, exist_ok=True)
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
+    _remove_leftovers(folder)
     seeds = iter(range(first_seed, first_seed + 10 * count + 10))
     done: list[Path] = []
-    with (
-        ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread) as pool,
-        tqdm(total=count, desc=f"{split} scenes", unit="scene") as bar,
-    ):
+    with _workers(workers) as pool, tqdm(total=count, desc=f"{split} scenes", unit="scene") as bar:
         while len(done) < count:
             batch = [next(seeds) for _ in range(count - len(done))]
-            jobs = {
-                pool.submit(_write, folder, split, seed, seed - first_seed < infrared, preset): seed for seed in batch
-            }
+            with _uninterrupted():
+                jobs = [pool.submit(_write, folder, split, s, s - first_seed < infrared, preset) for s in batch]
             for job in as_completed(jobs):
                 path = job.result()
                 if path is not None:
                     done.append(path)
                     bar.update()
     return sorted(done)
+
+
+@contextmanager
+def _workers(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool of processes that end with the block, at once when it ends by an error or an interruption."""
+    others = set(active_children())
+    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_begin)
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        ours = set(active_children()) - others
+        for process in ours:
+            process.terminate()
+        for process in ours:
+            process.join(PATIENCE_S)
+        raise
+    pool.shutdown()
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C back while processes are started: they inherit that, so that it interrupts this process alone."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove what a writer that was killed has left half done, an hour ago or more."""
+    for part in folder.glob(".*.part"):
+        if time.time() - part.stat().st_mtime > LEFTOVER_S:
+            shutil.rmtree(part, ignore_errors=True)
 
 
 def _check_sensor(folder: Path, preset: str | None) -> None:
@@ -253,13 +297,21 @@ def _worth_keeping(sample: Sample) -> bool:
     return bool(shown and known and (sample.depth > 0).mean() >= 0.25)
 
 
-def _one_thread() -> None:
+def _begin() -> None:
+    """Prepare a worker: it ends when its parent does, however that ended, and computes with one thread."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
     mi = mitsuba()
     import drjit as dr
 
     dr.set_thread_count(1)  # one process per core: threads inside would only compete
     assert mi.variant()
+
+
+def _end_with_parent() -> None:
+    parent_process().join()
+    os._exit(1)
 
 
 def _rig(rng: np.random.Generator) -> tuple[Camera, Stereo]:

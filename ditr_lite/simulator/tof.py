@@ -54,6 +54,11 @@ def mix(distance: np.ndarray, amplitude: np.ndarray, sigma: float) -> tuple[np.n
     return mean, np.sqrt(np.maximum(second / weight - mean**2, 0))
 
 
+def noise(amplitude: np.ndarray, settings: TimeOfFlight, rng: np.random.Generator) -> np.ndarray:
+    """Return noise (h, w) in metres: its deviation grows as the root of what light is missing, down to the floor."""
+    return settings.noise_m * rng.normal(size=amplitude.shape) / np.sqrt(np.maximum(amplitude, settings.floor))
+
+
 def multipath(points: np.ndarray, normals: np.ndarray, camera: Camera, albedo: float = ALBEDO) -> np.ndarray:
     """Return how much too far each pixel reads because light also arrives over a second surface, (h, w) metres.
 
@@ -177,7 +182,7 @@ def measure_flight(
             distance[v, u] = (through * (back + late) + front * way[v, u]) / amplitude[v, u]
 
     reading, spread = mix(distance, amplitude, settings.footprint)
-    reading += settings.noise_m * rng.normal(size=way.shape) / np.sqrt(np.maximum(amplitude, settings.floor))
+    reading += noise(amplitude, settings, rng)
     kept = seen & (amplitude >= settings.floor)
     z = np.where(kept, reading * depth / np.maximum(way, 1e-6), 0).astype(np.float32)
     dropped = kept & (spread > settings.mixed_m) & (rng.random(way.shape) < settings.noticed)

@@ -104,3 +104,20 @@ def test_the_temperature_that_made_probabilities_overconfident_is_found(temperat
     assert un.fit_temperature(logs, true) == pytest.approx(temperature, rel=0.05)
     with pytest.raises(ValueError, match="at least 2 classes"):
         un.fit_temperature(logs[:1], true)
+
+
+def test_nothing_is_fitted_on_a_test_split():
+    un.check_fitted_on(["val", "rooms_val"])
+    for split in ("test", "rooms"):
+        with pytest.raises(ValueError, match=f"{split} is held out"):
+            un.check_fitted_on(["val", split])
+
+
+def test_every_pixel_is_painted_by_one_branch_or_kept():
+    region = np.array([[True, True, False, False]])
+    sets = un.pixel_sets(region, np.array([[0.0, 0.7, 0.0, 0.7]]))
+    assert {k: v[0].tolist() for k, v in sets.items()} == {
+        "optical": [True, True, False, False],
+        "geometric": [False, False, True, False],
+        "kept": [False, False, False, True],
+    }

@@ -41,3 +41,10 @@ def test_the_pyramid_has_the_promised_sizes_and_blocks_add_their_input_where_the
     x = torch.randn(1, 4, 8, 8)
     assert torch.equal(block(x), x) and not InvertedResidual(4, 8, 3, 1, 6).residual
     assert not InvertedResidual(4, 4, 3, 2, 6).residual
+
+
+def test_a_block_narrows_without_a_bend():
+    torch.manual_seed(0)
+    block, x = InvertedResidual(4, 6, 3, 1, 6), torch.randn(1, 4, 8, 8)
+    wide = F.relu6(block.depthwise(F.relu6(block.expand(x))))
+    assert torch.equal(block(x), block.project(wide)) and (block(x) < 0).any()

@@ -89,6 +89,14 @@ def test_dropouts_lie_at_jumps_and_fill_the_share_of_holes():
     assert not dropouts(depth, Matcher(edge=0, holes=0), np.random.default_rng(0)).any()
 
 
+@pytest.mark.parametrize(
+    ("near", "step", "dropped"), [(1.0, 0.039, False), (1.0, 0.045, True), (0.1, 0.0075, False), (0.1, 0.0085, True)]
+)
+def test_a_jump_is_four_per_cent_of_the_depth_of_at_least_20_cm(near, step, dropped):
+    depth = np.where(np.arange(60) < 30, near, near + step) * np.ones((40, 1))
+    assert dropouts(depth, Matcher(edge=1, holes=0), np.random.default_rng(0)).any() == dropped
+
+
 def test_dot_pattern_holds_its_share_of_dots():
     dots = dot_pattern(np.random.default_rng(0), 300, share=0.04)
     assert dots.shape == (300, 300) and dots.dtype == np.float32 and dots.min() == 0 and dots.max() == 1

@@ -80,6 +80,13 @@ def test_a_pixel_over_an_edge_reads_between_by_amplitude():
     assert np.allclose(tof.mix(distance, blind, 0.6)[0][:, :5], 1)
 
 
+@pytest.mark.parametrize(("amplitude", "deviation"), [(1.0, 0.002), (0.25, 0.004), (4.0, 0.001), (0.01, 0.004)])
+def test_noise_grows_as_the_root_of_missing_light_down_to_the_floor(amplitude, deviation):
+    dim = tof.TimeOfFlight(noise_m=0.002, floor=0.25)
+    drawn = tof.noise(np.full((200, 200), amplitude), dim, np.random.default_rng(0))
+    assert drawn.std() == pytest.approx(deviation, rel=0.02) and abs(drawn.mean()) < 0.02 * deviation
+
+
 def wall_at(z, slope=0.0):
     """Return points and normals of a wall z = z0 + slope x, in the camera's frame."""
     v, u = np.mgrid[:48, :64]
