@@ -108,11 +108,11 @@ class DetailNet(nn.Module):
         skips.pop()
         for upsample, level in zip(self.upsample, self.up, strict=True):
             x = level(upsample(x) + skips.pop())
-        # corrections, trusts and affinities are drawn towards the untrained network's, once training is over
-        strength = 1.0 if self.training else self.strength
-        out = F.pixel_shuffle(strength * self.out(x), 2)  # (B, 4 OUTPUTS, H/2, W/2) -> (B, OUTPUTS, H, W)
+        out = F.pixel_shuffle(self.out(x), 2)  # (B, 4 OUTPUTS, H/2, W/2) -> (B, OUTPUTS, H, W)
         residual, blend, trust, *kernels = out.split([1, 1, 2, *[9] * len(DILATIONS)], dim=1)
         blend = torch.sigmoid(blend - 2.0)  # at first the fill hardly counts,
+        if not self.training:  # on a camera's frames less is known of the readings inside than on rendered ones
+            trust = trust * trust.new_tensor([1.0, self.strength]).view(1, 2, 1, 1)
         start = trust.new_tensor([3.0, -1.0]).view(1, 2, 1, 1)  # readings outside are trusted, and inside hardly
         return residual, blend, torch.sigmoid(trust + start), [k.softmax(dim=1) for k in kernels]
 
