@@ -81,14 +81,17 @@ def depth_bounds(depth: np.ndarray, about: np.ndarray | None = None) -> Bounds:
     return Bounds(float(np.exp(middle - 1.25 * half)), float(np.exp(middle + half)))
 
 
-def fill(depth_n: Tensor, known: Tensor) -> Tensor:
-    """Fill unknown pixels with averages of known ones, from the nearest coarser scale that has any (push-pull).
+def fill(depth_n: Tensor, known: Tensor, rounds: int = 4) -> Tensor:
+    """Fill unknown pixels smoothly: from the nearest coarser scale that knows any (push-pull), relaxed at every scale.
 
-    Only a start for the encoder, cheap and dense; the branches repaint it.
+    Only a start for the encoder, cheap and dense; the branches repaint it. Each round replaces an unknown pixel by the
+    mean of its four neighbours, so that many rounds would solve Laplace's equation; because the coarse scales come
+    first, few are enough.
 
     Args:
         depth_n: (B, 1, H, W) normalised depth.
         known: (B, 1, H, W) 0/1.
+        rounds: of relaxation at every scale.
 
     Returns:
         (B, 1, H, W), equal to ``depth_n`` where known; 0 everywhere when nothing is known.
@@ -96,9 +99,15 @@ def fill(depth_n: Tensor, known: Tensor) -> Tensor:
     if min(depth_n.shape[2:]) <= 1:
         return depth_n * known
     mean, share = pool(depth_n, known)
-    coarse = fill(mean, (share > 0).to(known.dtype))
+    coarse = fill(mean, (share > 0).to(known.dtype), rounds)
     fine = F.interpolate(coarse, size=depth_n.shape[2:], mode="bilinear", align_corners=False)
-    return torch.where(known > 0, depth_n, fine)
+    filled = torch.where(known > 0, depth_n, fine)
+    for _ in range(rounds):
+        padded = F.pad(filled, (1, 1, 1, 1), mode="replicate")
+        vertical = padded[:, :, :-2, 1:-1] + padded[:, :, 2:, 1:-1]
+        horizontal = padded[:, :, 1:-1, :-2] + padded[:, :, 1:-1, 2:]
+        filled = torch.where(known > 0, depth_n, (vertical + horizontal) / 4)
+    return filled
 
 
 def pool(depth_n: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:

@@ -111,7 +111,7 @@ class UNetConfig:
 class DetailConfig:
     """The finer final step: a small full-resolution network after the decoder. Width 0 leaves it out (the paper).
 
-    ``strength`` says how much of what it learnt is applied after training; 0 is a plain smoothing that holds readings.
+    ``strength`` says how much of what it learnt of readings inside the region is applied after training.
     """
 
     width: int = 24

@@ -2,23 +2,25 @@
 
 Not in the paper. The autoencoder works at a quarter of the resolution and, at depth edges, its error is several times
 that inside surfaces; geometric loss lies along edges, four fifths of it within three pixels of a reading. This network
-sees the decoded depth beside the image, adds a residual, and then lets depth spread from pixel to pixel by affinities
-that it predicts, readings being held: a convolutional spatial propagation (CSPN, Cheng et al. 2018). Width 0 in the
-configuration leaves it out, which is the paper's system.
+sees the decoded depth beside the image and beside a smooth fill from the readings around, which errs in other places
+than the diffusion does. It blends the two, adds a residual, and then lets depth spread from pixel to pixel by
+affinities that it predicts, readings being held: a convolutional spatial propagation (CSPN, Cheng et al. 2018). Width 0
+in the configuration leaves it out, which is the paper's system.
 """
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from .conditioning import fill
 from .config import DetailConfig
 from .unet import norm
 
-CHANNELS = ("decoded", "raw", "known", "evidence", "branch", "red", "green", "blue", "boundary")  # of the input
+CHANNELS = ("decoded", "raw", "known", "evidence", "branch", "red", "green", "blue", "boundary", "filled")  # of input
 LEVELS = 3  # at strides 2, 4 and 8
 DILATIONS = (3, 1)  # of the 3x3 neighbourhoods that depth spreads over, coarse to fine, each with its own affinities
 ROUNDS = 3  # of spreading at each of them: a reading reaches 12 pixels far
-OUTPUTS = 3 + 9 * len(DILATIONS)  # a pixel's residual, trust in its reading outside and inside the region, affinities
+OUTPUTS = 4 + 9 * len(DILATIONS)  # a pixel's residual, blend, trust in its reading outside and inside, affinities
 
 
 def convs(in_channels: int, channels: int, count: int) -> nn.Sequential:
@@ -59,9 +61,9 @@ class DetailNet(nn.Module):
         """Return the finer depth.
 
         Args:
-            x: (B, 9, H, W) floating, channels as in ``CHANNELS``: decoded and raw depth (normalised), masks of
-                readings outside and inside the region, mask of the optical branch, RGB in [-1, 1], boundary map; H and
-                W multiples of 8.
+            x: (B, 10, H, W) floating, channels as in ``CHANNELS``: decoded and raw depth (normalised), masks of
+                readings outside and inside the region, mask of the optical branch, RGB in [-1, 1], boundary map, the
+                smooth fill; H and W multiples of 8.
 
         Returns:
             (B, 1, H, W), normalised like the decoded depth.
@@ -74,26 +76,31 @@ class DetailNet(nn.Module):
     def spread(self, x: Tensor, decoded: Tensor) -> Tensor:
         """Return the finer depth (S B, 1, H, W) of ``decoded`` (S B, 1, H, W), by what the network says of ``x``.
 
-        ``x`` (B, 9, H, W) is as in :meth:`forward`. Of S samples, one batch after the other, residual, trust and
-        affinities are shared: the network, the costly part, runs once.
+        ``x`` (B, 10, H, W) is as in :meth:`forward`. Of S samples, one batch after the other, residual, blend, trust
+        and affinities are shared: the network, the costly part, runs once.
         """
-        residual, trust, affinities = self.predict(x)
+        residual, blend, trust, affinities = self.predict(x)
+        filled = x[:, -1:]
         held = (x[:, 2:4] * trust).sum(dim=1, keepdim=True)  # (B, 2, H, W) -> (B, 1, H, W): a pixel is in one of both
-        samples = decoded.split(len(x))  # one at a time: each takes the memory of all nine affinities
-        return torch.cat([propagate(one + residual, x[:, 1:2], held, affinities) for one in samples])
+        finer = []
+        for one in decoded.split(len(x)):  # one sample at a time: each takes the memory of all nine affinities
+            start = torch.lerp(one, filled, blend) + residual
+            finer.append(propagate(start, x[:, 1:2], held, affinities))
+        return torch.cat(finer)
 
-    def predict(self, x: Tensor) -> tuple[Tensor, Tensor, list[Tensor]]:
-        """Return the residual (B, 1, H, W), the trust in readings (B, 2, H, W) and, per dilation, affinities.
+    def predict(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, list[Tensor]]:
+        """Return residual (B, 1, H, W), blend (B, 1, H, W), trust in readings (B, 2, H, W) and affinities per dilation.
 
-        Trust lies in (0, 1), for readings outside and inside the region. Affinities are (B, 9, H, W) each, positive,
-        and sum to 1 over the 9; see :func:`propagate`.
+        Blend lies in (0, 1): 0 takes the decoded depth, 1 the smooth fill. Trust lies in (0, 1), for readings outside
+        and inside the region. Affinities are (B, 9, H, W) each, positive, and sum to 1 over the 9; see
+        :func:`propagate`.
         """
         if x.ndim != 4 or x.shape[1] != len(CHANNELS) or x.shape[2] % 2**LEVELS or x.shape[3] % 2**LEVELS:
             raise ValueError(
                 f"x: expected (B, {len(CHANNELS)}, H, W) with channels {', '.join(CHANNELS)}, H and W multiples of "
                 f"{2**LEVELS}, got {tuple(x.shape)}"
             )
-        x = F.pixel_unshuffle(x, 2)  # (B, 9, H, W) -> (B, 36, H/2, W/2)
+        x = F.pixel_unshuffle(x, 2)  # (B, 10, H, W) -> (B, 40, H/2, W/2)
         skips = []
         for i, level in enumerate(self.down):
             x = level(F.max_pool2d(x, 2) if i else x)
@@ -101,12 +108,13 @@ class DetailNet(nn.Module):
         skips.pop()
         for upsample, level in zip(self.upsample, self.up, strict=True):
             x = level(upsample(x) + skips.pop())
-        # corrections, trusts and affinities are drawn towards the untrained network's, once training is over
-        strength = 1.0 if self.training else self.strength
-        out = F.pixel_shuffle(strength * self.out(x), 2)  # (B, 4 OUTPUTS, H/2, W/2) -> (B, OUTPUTS, H, W)
-        residual, trust, *kernels = out.split([1, 2, *[9] * len(DILATIONS)], dim=1)
-        start = trust.new_tensor([3.0, -1.0]).view(1, 2, 1, 1)  # at first readings outside are trusted, inside hardly
-        return residual, torch.sigmoid(trust + start), [k.softmax(dim=1) for k in kernels]
+        out = F.pixel_shuffle(self.out(x), 2)  # (B, 4 OUTPUTS, H/2, W/2) -> (B, OUTPUTS, H, W)
+        residual, blend, trust, *kernels = out.split([1, 1, 2, *[9] * len(DILATIONS)], dim=1)
+        blend = torch.sigmoid(blend - 2.0)  # at first the fill hardly counts,
+        if not self.training:  # on a camera's frames less is known of the readings inside than on rendered ones
+            trust = trust * trust.new_tensor([1.0, self.strength]).view(1, 2, 1, 1)
+        start = trust.new_tensor([3.0, -1.0]).view(1, 2, 1, 1)  # readings outside are trusted, and inside hardly
+        return residual, blend, torch.sigmoid(trust + start), [k.softmax(dim=1) for k in kernels]
 
 
 def propagate(start: Tensor, readings: Tensor, trust: Tensor, affinities: list[Tensor]) -> Tensor:
@@ -149,7 +157,7 @@ def neighbours(depth: Tensor, dilation: int) -> list[Tensor]:
 def detail_input(
     decoded: Tensor, depth_n: Tensor, valid: Tensor, region: Tensor, image: Tensor, boundary: Tensor
 ) -> Tensor:
-    """Return the (S, 9, H, W) input of :class:`DetailNet`, channels as in :data:`CHANNELS`.
+    """Return the (S, 10, H, W) input of :class:`DetailNet`, channels as in :data:`CHANNELS`.
 
     Args:
         decoded: (S, 1, H, W) normalised depth out of the decoder, of one branch.
@@ -160,5 +168,7 @@ def detail_input(
         boundary: (B, 1, H, W) 0/1, M_RGB.
     """
     raw = torch.where(valid > 0, depth_n, decoded)
-    parts = [decoded, raw, valid * (1 - region), valid * region, region, image, boundary]
+    known = valid * (1 - region)
+    filled = fill(depth_n, known)
+    parts = [decoded, raw, known, valid * region, region, image, boundary, filled]
     return torch.cat([p.expand(len(decoded), -1, -1, -1) for p in parts], dim=1)

@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 import torch
 
+from ditr_lite.conditioning import fill
 from ditr_lite.config import DetailConfig, preset
-from ditr_lite.detail import CHANNELS, DILATIONS, ROUNDS, DetailNet, neighbours, propagate
+from ditr_lite.detail import CHANNELS, DILATIONS, ROUNDS, DetailNet, detail_input, neighbours, propagate
 from ditr_lite.evaluation.costs import count_flops
 
 
@@ -17,7 +18,7 @@ def build():
 def test_untrained_network_smooths_and_holds_readings():
     net, x = DetailNet(DetailConfig(8)), torch.randn(1, len(CHANNELS), 32, 40)
     x[:, 2:4] = 0
-    out, smooth = net(x), x[:, :1]
+    out, smooth = net(x), torch.lerp(x[:, :1], x[:, -1:], torch.sigmoid(torch.tensor(-2.0)))
     for dilation in DILATIONS:
         for _ in range(ROUNDS):
             smooth = sum(neighbours(smooth, dilation))[:, None] / 9
@@ -30,18 +31,50 @@ def test_untrained_network_smooths_and_holds_readings():
     assert bool((inside < outside).all()) and bool((inside > smooth).all())
 
 
+def test_where_the_network_says_so_the_smooth_fill_takes_the_place_of_the_decoded_depth():
+    net, x = DetailNet(DetailConfig(8)), torch.randn(1, len(CHANNELS), 32, 40)
+    x[:, 2:4] = 0
+    outputs = net.out.bias.view(-1, 4)  # (outputs, pixels of a 2x2 block)
+    for bias, taken in ((30.0, x[:, -1:]), (-30.0, x[:, :1])):
+        with torch.no_grad():
+            outputs[1] = bias
+        net.eval()
+        equal = [torch.full((1, 9, 32, 40), 1 / 9)] * len(DILATIONS)
+        assert torch.allclose(net(x), propagate(taken, taken, torch.zeros_like(taken), equal), atol=1e-5)
+
+
+def test_the_fill_shown_is_that_of_readings_outside_the_region():
+    torch.manual_seed(0)
+    depth, valid, region = torch.randn(1, 1, 16, 24), torch.ones(1, 1, 16, 24), torch.zeros(1, 1, 16, 24)
+    region[..., 4:9, 5:15] = 1
+    given = detail_input(torch.randn(3, 1, 16, 24), depth, valid, region, torch.randn(1, 3, 16, 24), region)
+    assert given.shape == (3, len(CHANNELS), 16, 24)
+    assert torch.equal(given[:, -1:], fill(depth, 1 - region).expand(3, -1, -1, -1))
+
+
 def test_trust_inside_the_region_is_learnt_apart_from_that_outside():
     net, x = build()
-    trust = net.predict(x)[1]
+    trust = net.predict(x)[2]
     assert trust.shape == (2, 2, 64, 96) and bool((trust > 0).all()) and bool((trust < 1).all())
     x[:, 1], x[:, 2:4] = 5.0, 0.0
     none = net(x)
     for channel in (2, 3):
         held = x.clone()
         held[:, channel] = 1
-        residual, trusts, affinities = net.predict(held)
-        wanted = propagate(held[:, :1] + residual, held[:, 1:2], trusts[:, channel - 2 : channel - 1], affinities)
+        residual, blend, trusts, affinities = net.predict(held)
+        start = torch.lerp(held[:, :1], held[:, -1:], blend) + residual
+        wanted = propagate(start, held[:, 1:2], trusts[:, channel - 2 : channel - 1], affinities)
         assert torch.allclose(net(held), wanted) and not torch.allclose(wanted, none)
+
+
+def test_strength_draws_the_trust_inside_the_region_towards_the_start_and_nothing_else():
+    net, x = build()
+    learnt = net.train().predict(x)
+    net.strength = 0.0
+    drawn = net.eval().predict(x)
+    assert torch.allclose(drawn[2][:, 1], torch.sigmoid(torch.tensor(-1.0)).expand_as(drawn[2][:, 1]))
+    assert not torch.allclose(learnt[2][:, 1], drawn[2][:, 1]) and torch.equal(learnt[2][:, 0], drawn[2][:, 0])
+    assert all(torch.equal(learnt[k], drawn[k]) for k in (0, 1)) and torch.equal(learnt[3][0], drawn[3][0])
 
 
 def test_shape_and_gradient_to_every_parameter():
@@ -105,8 +138,8 @@ def test_every_channel_matters(channel):
 def test_every_pixel_has_its_own_value():
     # gradient descent on the output convolution alone can write any 2x2 pattern: pixels of a block are not tied
     net, x = build()
-    residual, trust, affinities = net.predict(x)
-    for out in (residual, trust, affinities[0][:, :1]):
+    residual, blend, trust, affinities = net.predict(x)
+    for out in (residual, blend, trust, affinities[0][:, :1]):
         block = out[0, 0, :2, :2].flatten()
         rows = [torch.autograd.grad(v, net.out.weight, retain_graph=True)[0].flatten() for v in block]
         assert torch.linalg.matrix_rank(torch.stack(rows)) == 4

@@ -12,7 +12,7 @@ from ..conditioning import Bounds, depth_bounds, to_tensor
 from ..units import without_strays
 from .loop import WHOLE, Share
 from .scenes import Pool, Scenes
-from .views import View, disturb, frame_view, window_view
+from .views import View, disturb, frame_view, mix, window_view
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,7 @@ def draw_frames(
     rng: np.random.Generator,
     backend: Backend | None = None,
     still: bool = False,
+    mixed: float = 0.0,
     share: Share = WHOLE,
 ) -> Batch:
     """Draw whole frames, moved, turned and disturbed.
@@ -110,9 +111,15 @@ def draw_frames(
         rng: everything random comes from it, so a step can be drawn again when training resumes.
         backend: finds the guides; None leaves them out.
         still: do not move or turn them.
+        mixed: share of the frames of which a part is replaced by another.
         share: of the batch that is returned; all of it is drawn, so that every share knows what the others are.
     """
-    views = [disturb(frame_view(*pool.pick(rng), size, rng, still), rng) for _ in range(count)]
+    views = []
+    for _ in range(count):
+        view = frame_view(*pool.pick(rng), size, rng, still)
+        if mixed and rng.random() < mixed:
+            view = mix(view, frame_view(*pool.pick(rng), size, rng, still), rng)
+        views.append(disturb(view, rng))
     return batch_of(share.take(views), backend)
 
 

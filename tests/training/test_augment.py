@@ -1,6 +1,6 @@
 import numpy as np
 
-from ditr_lite.training.augment import colours
+from ditr_lite.training.augment import colours, glare
 
 
 def test_the_generator_decides_and_the_input_stays():
@@ -16,3 +16,14 @@ def test_colours_change_hue_now_and_then():
     red[..., 0] = 200
     strongest = [colours(red, np.random.default_rng(k)).mean(axis=(0, 1)).argmax() for k in range(60)]
     assert set(strongest) == {0, 1, 2} and np.mean(np.array(strongest) == 0) > 0.6
+
+
+def test_glare_only_adds_light_and_blinds_where_it_is_bright():
+    image = np.random.default_rng(0).integers(0, 200, (48, 64, 3), np.uint8)
+    shares = []
+    for k in range(40):
+        bright, core = glare(image, np.random.default_rng(k))
+        assert (bright >= image).all() and bright.dtype == np.uint8 and core.shape == (48, 64)
+        assert not core.any() or bright[core].min() >= 60  # 1.5 exp(-1.5) of the least bright colour
+        shares.append(core.mean())
+    assert min(shares) == 0 and 0.005 < np.mean(shares) < 0.1

@@ -14,6 +14,7 @@ from ditr_lite.training.views import (
     grow,
     look,
     lose,
+    mix,
     placement,
     spoil,
     thin_out,
@@ -189,3 +190,19 @@ def test_a_claim_is_cut_with_the_view(scenes):
     claimed[4:8, 50:60] = True
     view = look(scenes, 0, placement((48, 64), (23.5, 31.5), 1.0, 0.0, True), (48, 64), claimed)
     assert np.array_equal(view.region, ((scenes.material[0] > 0) | claimed)[:, ::-1])
+
+
+def test_a_mixed_view_is_one_view_with_a_rectangle_of_the_other_at_a_like_distance(scenes):
+    one, other = frame_view(scenes, 0, (48, 64), None), frame_view(scenes, 1, (48, 64), None)
+    ratio = np.median(one.depth[one.depth > 0]) / np.median(other.depth[other.depth > 0])
+    for seed in range(5):
+        out = mix(one, other, rng(seed))
+        taken = (out.rgb != one.rgb).any(axis=2)
+        rows, columns = np.nonzero(taken.any(axis=1))[0], np.nonzero(taken.any(axis=0))[0]
+        box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        assert np.array_equal(out.rgb[box], other.rgb[box]) and np.array_equal(out.material[box], other.material[box])
+        assert np.allclose(out.depth[box], ratio * other.depth[box], rtol=1e-5)
+        rest = np.ones(taken.shape, bool)
+        rest[max(0, rows[0] - 2) : rows[-1] + 3, max(0, columns[0] - 2) : columns[-1] + 3] = False  # alike by chance
+        assert np.array_equal(out.depth_gt[rest], one.depth_gt[rest]) and out.depth.dtype == np.float32
+        assert np.array_equal(out.region[rest], one.region[rest]) and rest.any()
