@@ -1,10 +1,15 @@
 """What every notebook must be: complete, in order, executed in order, small, described, and checked."""
 
+import base64
+import io
 import re
 from pathlib import Path
 
 import nbformat
 import pytest
+from PIL import Image
+
+from ditr_lite.viz.panels import SMALLEST_TYPE
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.ipynb"))
 READING_ORDER = (
@@ -23,6 +28,7 @@ READING_ORDER = (
 MAX_NOTEBOOK_BYTES = 500_000
 MIN_ALT = 20  # characters: "figure" or "plot" describes nothing
 FIGURE = ("image/png", "image/jpeg", "image/svg+xml")
+LEAST_PX, COLUMN_PX = 12, 736  # height of type; width of the book's narrowest column at the size of a screen
 # Headings that every notebook has, in this order.
 SECTIONS = {
     "title": r"^# +\S",
@@ -57,6 +63,21 @@ def undescribed_figures(notebook):
     cells = enumerate(code_cells(notebook))
     shows = [(i, c) for i, c in cells if any(kind in out.get("data", {}) for out in c.outputs for kind in FIGURE)]
     return [i for i, cell in shows if len(str(cell.metadata.get("alt", "")).strip()) < MIN_ALT]
+
+
+def small_type(notebook):
+    """Return (cell, height in pixels at the size shown) of stored figures whose smallest type is too small to be read.
+
+    Each figure of ``viz`` says how high its smallest type is, 0 without words; one that does not say counts as 0.1.
+    """
+    small = []
+    for number, cell in enumerate(code_cells(notebook)):
+        for png in (out["data"]["image/png"] for out in cell.outputs if "image/png" in out.get("data", {})):
+            image = Image.open(io.BytesIO(base64.b64decode(png)))
+            shown = float(image.text.get(SMALLEST_TYPE, 0.1)) * min(1, COLUMN_PX / image.width)
+            if 0 < shown < LEAST_PX:
+                small.append((number, round(shown, 1)))
+    return small
 
 
 def out_of_order(notebook):
@@ -103,6 +124,41 @@ def test_notebook(path):
     assert undescribed_figures(notebook) == []
     assert out_of_order(notebook) == []
     assert unexpected_errors(notebook) == []
+
+
+def test_small_type_is_noticed():
+    from ditr_lite.viz import Picture
+
+    def stored(figure):
+        data = figure._repr_mimebundle_()
+        cells = [nbformat.v4.new_code_cell("figure", outputs=[nbformat.v4.new_output("display_data", data=data)])]
+        return nbformat.v4.new_notebook(cells=cells)
+
+    figure = Picture(4, 2)
+    figure.subplots().set_title("large enough")
+    assert small_type(stored(figure)) == [] == small_type(stored(Picture(2, 2)))
+    figure.savefig(other := io.BytesIO(), format="png")
+    foreign = stored(figure)
+    foreign.cells[0].outputs[0].data["image/png"] = base64.b64encode(other.getvalue()).decode()
+    assert small_type(foreign) == [(0, 0.1)]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_stored_figures_can_be_read_in_a_room(path):
+    assert small_type(nbformat.read(path, as_version=4)) == []
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_every_exercise_of_level_three_has_a_folded_hint(path):
+    text = "\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "markdown")
+    exercises = re.findall(r"^(?:#+ |\*\*)Level 3 ", text, flags=re.MULTILINE)
+    assert len(re.findall(r"<summary>\s*(?:A )?hint", text, flags=re.IGNORECASE)) >= len(exercises) > 0
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_the_core_on_one_page_and_the_symbols_are_linked(path):
+    text = "\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "markdown")
+    assert f"summaries/{path.stem}" in text and "book/symbols.md" in text
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
