@@ -12,7 +12,7 @@ from ..conditioning import Bounds, depth_bounds, to_tensor
 from ..units import without_strays
 from .loop import WHOLE, Share
 from .scenes import Pool, Scenes
-from .views import View, disturb, frame_view, mix, window_view
+from .views import View, disturb, frame_view, mix_views, window_view
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def draw_frames(
     for _ in range(count):
         view = frame_view(*pool.pick(rng), size, rng, still)
         if mixed and rng.random() < mixed:
-            view = mix(view, frame_view(*pool.pick(rng), size, rng, still), rng)
+            view = mix_views(view, frame_view(*pool.pick(rng), size, rng, still), rng)
         views.append(disturb(view, rng))
     return batch_of(share.take(views), backend)
 

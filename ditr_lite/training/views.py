@@ -189,7 +189,7 @@ def disturb(view: View, rng: np.random.Generator) -> View:
     return replace(view, rgb=rgb, depth=depth if (depth > 0).sum() > 20 else view.depth)
 
 
-def mix(view: View, other: View, rng: np.random.Generator) -> View:
+def mix_views(view: View, other: View, rng: np.random.Generator) -> View:
     """Replace a rectangle of a view by what another shows there (CutMix, Yun et al. 2019), at a like distance.
 
     Things in front of other rooms and tables, cut off anywhere: a network that has few scenes learns the things rather

@@ -14,7 +14,7 @@ from ditr_lite.training.views import (
     grow,
     look,
     lose,
-    mix,
+    mix_views,
     placement,
     spoil,
     thin_out,
@@ -196,7 +196,7 @@ def test_a_mixed_view_is_one_view_with_a_rectangle_of_the_other_at_a_like_distan
     one, other = frame_view(scenes, 0, (48, 64), None), frame_view(scenes, 1, (48, 64), None)
     ratio = np.median(one.depth[one.depth > 0]) / np.median(other.depth[other.depth > 0])
     for seed in range(5):
-        out = mix(one, other, rng(seed))
+        out = mix_views(one, other, rng(seed))
         taken = (out.rgb != one.rgb).any(axis=2)
         rows, columns = np.nonzero(taken.any(axis=1))[0], np.nonzero(taken.any(axis=0))[0]
         box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
