@@ -54,7 +54,7 @@ DECISIVE = (  # files and folders of the package that decide how an arm is train
     *("units.py", "config.py", "conditioning.py", "windows.py", "schedule.py", "diffusion.py"),
     *("region", "boundary", "autoencoder.py", "unet.py", "detail.py", "stage_two.py", "pipeline.py", "data.py"),
     *("training/scenes.py", "training/views.py", "training/augment.py", "training/batches.py"),
-    *("training/recipes.py", "training/loop.py", "training/parts.py"),
+    *("training/recipes.py", "training/losses.py", "training/loop.py", "training/parts.py"),
 )
 
 
