@@ -79,7 +79,7 @@ def test_the_paper_map_is_read_whole():
     eq8 = found["Eq. 8"]
     assert (eq8.function, eq8.test, eq8.notebook) == ("diffusion.loss", "test_eps_loss_is_eq8", "04_ddpm_math")
     assert eq8.group == "Equations" and eq8.anchor.startswith("5 ") and "objective" in eq8.paper
-    assert found["C7"].function == found["C7"].notebook == found["C7"].test == ""
+    assert found["C7"].function == "peers.ideas.ImplicitRays" and found["C7"].notebook == "08_ablations"
     assert len(found) == sum(line.startswith("| ") and line[2] != "|" for line in _lines("PAPER_MAP.md"))
 
 

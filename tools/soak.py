@@ -2,9 +2,9 @@
 
     python tools/soak.py [--only WORD] [--seed N] [--json FILE]
 
-``make soak`` runs it whole, within a quarter of an hour on two idle cores. A check is a function in :data:`CHECKS` that
-is given a folder of its own and a generator, and returns how often it tried, how often what happened was right, and
-what was measured. The exit code is 1 where anything was wrong.
+``make soak`` runs it whole, on Linux or macOS, within a quarter of an hour on two idle cores. A check is a function in
+:data:`CHECKS` that is given a folder of its own and a generator, and returns how often it tried, how often what
+happened was right, and what was measured. The exit code is 1 where anything was wrong.
 """
 
 import argparse

@@ -203,11 +203,8 @@ class InPlace:
     def __init__(self, workers, mp_context=None, initializer=None):
         pass
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        return False
+    def shutdown(self, wait=True, cancel_futures=False):
+        pass
 
     def submit(self, function, *args):
         job = Future()
