@@ -1,5 +1,7 @@
 """Checkers for the exercises on the whole pipeline: windows, what is known, what samples say, what it costs."""
 
+from functools import partial
+
 import numpy as np
 
 from .checker import Function, check
@@ -13,9 +15,11 @@ def check_square(attempt: Function) -> bool:
     and is moved into the frame. In all cases it fits there, and no rounding is needed: all three numbers are whole.
     """
 
-    def side_of(box, shape, margin=2, least=0.2):
-        side = max(margin * max(box[2] - box[0], box[3] - box[1]), least * max(shape))
-        return min(round(side), max(shape))
+    def wish(box, shape, margin=2, least=0.2):
+        return round(max(margin * max(box[2] - box[0], box[3] - box[1]), least * max(shape)))
+
+    def side_of(box, shape, **settings):
+        return min(wish(box, shape, **settings), max(shape))
 
     def corner(box, side):
         return np.array([(box[0] + box[2] - side) // 2, (box[1] + box[3] - side) // 2])
@@ -29,7 +33,7 @@ def check_square(attempt: Function) -> bool:
         return lambda box, shape: right(box, shape, min(find(box, shape), max(shape)))
 
     def unbounded(box, shape):
-        side = round(max(2 * max(box[2] - box[0], box[3] - box[1]), 0.2 * max(shape)))
+        side = wish(box, shape)
         return np.array([*np.maximum(np.minimum(corner(box, side), np.array(shape) - side), 0), side])
 
     def about(middle):
@@ -58,10 +62,8 @@ def check_square(attempt: Function) -> bool:
         "the side is twice the box's width: a tall blob would not fit": with_side(
             lambda b, s: max(2 * (b[3] - b[1]), round(0.2 * max(s)))
         ),
-        "there is no room around the blob: the side is twice that of the box": with_side(
-            lambda b, s: side_of(b, s, margin=1)
-        ),
-        "the side is at least a fifth of the frame's longer side": with_side(lambda b, s: side_of(b, s, least=0)),
+        "there is no room around the blob: the side is twice that of the box": with_side(partial(wish, margin=1)),
+        "the side is at least a fifth of the frame's longer side": with_side(partial(wish, least=0)),
         "the side is at most the frame's longer side": unbounded,
         "a fifth of the frame's *longer* side, not of the shorter": with_side(
             lambda b, s: max(2 * max(b[2] - b[0], b[3] - b[1]), round(0.2 * min(s)))

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ditr_lite import pipeline, store
-from ditr_lite.config import preset
+from ditr_lite import store
 from ditr_lite.data import Sample, list_samples, load_sample
 from ditr_lite.evaluation import results
 from ditr_lite.studies import remedies
@@ -16,13 +15,6 @@ from ditr_lite.studies import remedies
 ROOT = Path(__file__).resolve().parents[2]
 RESULT = store.WEIGHTS / "results_remedies.json"
 SCENE = load_sample(list_samples("rooms_val")[4])
-
-
-@pytest.fixture(scope="module")
-def tiny():
-    """An untrained system: that every run works is no matter of its weights."""
-    config = preset("tiny")
-    return pipeline.Ditr(pipeline.build(config), config)
 
 
 @pytest.mark.parametrize("name", remedies.RUNS)

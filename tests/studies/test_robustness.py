@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ditr_lite import pipeline, store
-from ditr_lite.config import preset
+from ditr_lite import store
 from ditr_lite.data import Sample, list_samples, load_sample
 from ditr_lite.studies import robustness
 from ditr_lite.studies.robustness import CONDITIONS
@@ -18,13 +17,6 @@ from ditr_lite.studies.robustness import CONDITIONS
 ROOT = Path(__file__).resolve().parents[2]
 RESULT = store.WEIGHTS / "results_robustness.json"
 SCENE = load_sample(list_samples("val")[1])
-
-
-@pytest.fixture(scope="module")
-def tiny():
-    """An untrained system: what it predicts is no matter, that it always predicts is."""
-    config = preset("tiny")
-    return pipeline.Ditr(pipeline.build(config), config)
 
 
 @pytest.mark.parametrize("name", CONDITIONS)
