@@ -99,11 +99,13 @@ def correlations(
 
 
 def format_ranges(described: Mapping[str, Description]) -> str:
-    """Return, a line for each figure of :data:`DESCRIBED`, what it says and its range over the frames that have it."""
+    """Return a line for each figure of :data:`DESCRIBED`: name, what it says, range over the frames that have it."""
     lines = []
     for key, says in DESCRIBED.items():
         values = [d[key] for d in described.values() if d[key] is not None]
-        lines.append(f"  {says:55} " + (f"{min(values):6.3f} to {max(values):6.3f}" if values else "not measured"))
+        lines.append(
+            f"{key:14} {says:57} " + (f"{min(values):6.3f} to {max(values):6.3f}" if values else "not measured")
+        )
     return "\n".join(lines)
 
 
