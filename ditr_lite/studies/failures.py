@@ -121,3 +121,12 @@ def correlation_verdict(key: str, rho: tuple[float, float, float] | None) -> str
         return f"{key}: cannot be told from these frames"
     said = "errors grow with it" if rho[1] > 0 else "errors shrink with it" if rho[2] < 0 else "no measurable relation"
     return "{}: {} (rank correlation {:+.2f} [{:+.2f}, {:+.2f}])".format(key, said, *rho)
+
+
+def format_verdicts(rho: Mapping[str, tuple[float, float, float] | None]) -> str:
+    """Return :func:`correlation_verdict` of every figure, and whether the paper's two cases are confirmed."""
+    lines = [correlation_verdict(key, found) for key, found in rho.items()]
+    for key in PAPER:
+        confirmed = rho[key] is not None and rho[key][1] > 0
+        lines.append(f"the paper's case '{key}': {'confirmed' if confirmed else 'not confirmed'} on these scenes")
+    return "\n".join(lines)

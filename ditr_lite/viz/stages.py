@@ -95,12 +95,14 @@ def draw_steps(
     figure = Picture(2.6 * len(steps) + 0.8, 6.9)
     axes = figure.subplots(3, len(steps), squeeze=False)
     for (above, middle, below), (t, (noisy, guess, title)) in zip(axes.T, steps.items(), strict=True):
-        draw_plane(above, (2 * noisy).round() / 2, f"latents after step {t}", (-limit, limit))
+        greys = draw_plane(above, (2 * noisy).round() / 2, f"latents after step {t}", (-limit, limit))
         few_colours = np.round(200 * guess) / 200  # 5 mm apart, for a small file
         shown = depth(middle, few_colours, depth_limits(truth), f"depth predicted in step {t}", bar=False)
         differs = signed_error(
             below, np.round(100 * (guess - truth)) / 100 + truth, truth, 100, title, False, where=where
         )
+    bar = figure.colorbar(greys, ax=axes[0], fraction=0.05, pad=0.02, extend="both")  # keeps the columns in line
+    bar.set_label("latent (no unit)", fontsize=FONT)
     for drawn, row, kind in ((shown, axes[1], "depth"), (differs, axes[2], "signed")):
         add_bar(figure, drawn, row, kind)
     return figure
