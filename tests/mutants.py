@@ -671,6 +671,21 @@ INPUTS = [
         ("rows of cells are mixed", "np.searchsorted(y, (cells.start, cells.stop))", "(cells.start, cells.stop)"),
     ),
 ]
+MISTAKES = [
+    *family(
+        "mistakes of a frame",
+        "units",
+        ("inverse: depth taken for it", "(where, values, rng) > _on", "(where, 1 / values, rng) > _on"),
+        ("inverse: absolute distance to a plane", "< SURFACE * values[:, None]", "< SURFACE"),
+        ("inverse: coarse values, too", "if not steps.size or", "if False and"),
+        ("BGR: judged as it came only", "and _of_jpeg(pixels[:, ::-1]) > LATTICE[1]", ""),
+        ("BGR: grey, too", "> 8)]", "> -1)]"),
+        ("BGR: blue's scale for red", "* blue)) / 1.402)", "* blue)) / 1.772)"),
+        ("swapped: the other way round", "reverse.mean() - lost.mean()", "lost.mean() - reverse.mean()"),
+        ("swapped: gaps only", "| (both & (truth > 1.01 * depth))", ""),
+        ("swapped: noise, too", "(truth > 1.01 * depth)", "(truth > depth)"),
+    ),
+]
 MUTANTS: list[Mutant] = [
     *SCHEDULE,
     *DIFFUSION,
@@ -682,6 +697,7 @@ MUTANTS: list[Mutant] = [
     *BOUNDARY,
     *FRAMES,
     *INPUTS,
+    *MISTAKES,
 ]
 
 

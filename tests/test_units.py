@@ -1,5 +1,6 @@
 import warnings
 
+import cv2
 import numpy as np
 import pytest
 from made_scenes import table
@@ -84,7 +85,7 @@ def test_networks_see_depth_without_strays_unless_there_is_nothing_else():
 
 
 @pytest.fixture(scope="module")
-def shipped():
+def rendered():
     names = [*list_samples("val"), *list_samples("rooms_val")[::4], *list_samples("test")[::8]]
     return [load_sample(name) for name in names]
 
@@ -94,18 +95,18 @@ def disparity(depth, factor=0.3, offset=0.0):
     return np.where(depth > 0, factor / np.maximum(depth, 0.01) + offset, 0).astype(np.float32)
 
 
-def test_no_shipped_frame_shows_a_mistake(shipped):
-    for s in shipped:
+def test_no_rendered_frame_shows_a_mistake(rendered):
+    for s in rendered:
         assert not looks_bgr(s.rgb), s.name
         assert not looks_inverse(s.depth) and not looks_inverse(s.depth_gt), s.name
         assert not looks_swapped(s.depth, s.depth_gt, s.region), s.name
 
 
-def test_mistakes_are_seen_where_they_can_be(shipped):
-    assert np.mean([looks_bgr(s.rgb[..., ::-1]) for s in shipped]) > 0.9
-    assert np.mean([looks_swapped(s.depth_gt, s.depth, s.region) for s in shipped]) > 0.8
+def test_mistakes_of_rendered_frames_are_seen_where_they_can_be(rendered):
+    assert np.mean([looks_bgr(s.rgb[..., ::-1]) for s in rendered]) > 0.9
+    assert np.mean([looks_swapped(s.depth_gt, s.depth, s.region) for s in rendered]) > 0.8
     for factor, offset in ((0.3, 0), (100, 20)):  # of a stereo pair; of a network whose output has no unit
-        assert np.mean([looks_inverse(disparity(s.depth, factor, offset)) for s in shipped]) > 0.5
+        assert np.mean([looks_inverse(disparity(s.depth, factor, offset)) for s in rendered]) > 0.5
 
 
 def test_a_slanted_plane_tells_depth_from_its_inverse_and_a_plane_face_on_does_not():
@@ -119,6 +120,12 @@ def test_a_slanted_plane_tells_depth_from_its_inverse_and_a_plane_face_on_does_n
     one_row = np.zeros((48, 400))
     one_row[3] = np.linspace(1, 2, 400)
     assert not looks_inverse(one_row)  # no plane follows from one row
+
+
+def test_colours_of_a_jpeg_tell_their_order():
+    smooth = np.stack([*np.meshgrid(np.arange(30, 230, 2), np.arange(40, 200, 2)), np.full((80, 100), 60)], axis=2)
+    turned = cv2.imdecode(cv2.imencode(".jpg", smooth.astype(np.uint8))[1], cv2.IMREAD_COLOR)
+    assert looks_bgr(turned) and not looks_bgr(turned[..., ::-1])
 
 
 def test_colours_as_such_prove_nothing():
@@ -140,7 +147,7 @@ def test_a_region_of_few_pixels_or_without_loss_says_nothing_of_swapped_files():
     assert not looks_swapped(truth, raw, region)
 
 
-def test_mistakes_are_warned_of_and_not_refused():
+def test_mistakes_of_a_rendered_frame_are_warned_of_and_not_refused():
     scene = load_sample("val_00000")
     inverse = disparity(scene.depth)
     with pytest.warns(UserWarning, match="looks like disparity"):
