@@ -155,7 +155,7 @@ def check_inputs(
     rgb = _array("rgb", rgb)
     depth = _array("depth", depth)
     if rgb.ndim == 2 and depth.ndim == 3:
-        raise ValueError(f"rgb is {rgb.shape} and depth {depth.shape}: the two are swapped")
+        raise ValueError(f"rgb: expected (H, W, 3), got {rgb.shape}, and depth {depth.shape}: the two are swapped")
     if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
         raise ValueError(
             f"rgb: expected (H, W, 3) uint8, got {rgb.shape} {rgb.dtype}; convert grey or RGBA images to RGB"

@@ -580,6 +580,11 @@ FRAMES = [
         ),
         ("evidence always", "views.guide, painter.evidence", "views.guide, True"),
         ("not sharpened", "if painter.detail is not None:", "if painter.detail is None:"),
+        (
+            "sharpened outside its area",
+            "views.valid, views.region, views.rgb",
+            "views.valid, 1 - views.region, views.rgb",
+        ),
         ("colour features at the wrong strides", "painter.encoder(_cl(rgb))[1:]", "painter.encoder(_cl(rgb))[:3]"),
         (
             "samples and views mixed",
@@ -665,6 +670,8 @@ INPUTS = [
         "a frame's way back",
         "windows",
         ("spread: of the geometric branch", 'layer.onto(out, "spread", region)', "pass"),
+        ("composed: the optical branch outside its area", 'layer.onto(out, "mean", region)', 'layer.onto(out, "mean")'),
+        ("composed: the geometric branch inside", 'layer.onto(out, "mean", region)', "pass"),
         ("composed: readings lost", "np.copyto(out, depth, where=(depth > 0) & ~region)", "pass"),
         ("composed: readings of the region, too", "where=(depth > 0) & ~region)", "where=depth > 0)"),
         ("holes: everything is raised", "out=painted[rows], where=holes[rows])", "out=painted[rows])"),
@@ -676,7 +683,6 @@ MISTAKES = [
         "mistakes of a frame",
         "units",
         ("inverse: depth taken for it", "(where, values, rng) > _on", "(where, 1 / values, rng) > _on"),
-        ("inverse: absolute distance to a plane", "< SURFACE * values[:, None]", "< SURFACE"),
         ("inverse: coarse values, too", "if not steps.size or", "if False and"),
         ("BGR: judged as it came only", "and _of_jpeg(pixels[:, ::-1]) > LATTICE[1]", ""),
         ("BGR: grey, too", "> 8)]", "> -1)]"),
