@@ -580,6 +580,11 @@ FRAMES = [
         ),
         ("evidence always", "views.guide, painter.evidence", "views.guide, True"),
         ("not sharpened", "if painter.detail is not None:", "if painter.detail is None:"),
+        (
+            "sharpened outside its area",
+            "views.valid, views.region, views.rgb",
+            "views.valid, 1 - views.region, views.rgb",
+        ),
         ("colour features at the wrong strides", "painter.encoder(_cl(rgb))[1:]", "painter.encoder(_cl(rgb))[:3]"),
         (
             "samples and views mixed",
@@ -665,10 +670,26 @@ INPUTS = [
         "a frame's way back",
         "windows",
         ("spread: of the geometric branch", 'layer.onto(out, "spread", region)', "pass"),
+        ("composed: the optical branch outside its area", 'layer.onto(out, "mean", region)', 'layer.onto(out, "mean")'),
+        ("composed: the geometric branch inside", 'layer.onto(out, "mean", region)', "pass"),
         ("composed: readings lost", "np.copyto(out, depth, where=(depth > 0) & ~region)", "pass"),
         ("composed: readings of the region, too", "where=(depth > 0) & ~region)", "where=depth > 0)"),
         ("holes: everything is raised", "out=painted[rows], where=holes[rows])", "out=painted[rows])"),
         ("rows of cells are mixed", "np.searchsorted(y, (cells.start, cells.stop))", "(cells.start, cells.stop)"),
+    ),
+]
+MISTAKES = [
+    *family(
+        "mistakes of a frame",
+        "units",
+        ("inverse: depth taken for it", "(where, values, rng) > _on", "(where, 1 / values, rng) > _on"),
+        ("inverse: coarse values, too", "if not steps.size or", "if False and"),
+        ("BGR: judged as it came only", "and _of_jpeg(pixels[:, ::-1]) > LATTICE[1]", ""),
+        ("BGR: grey, too", "> 8)]", "> -1)]"),
+        ("BGR: blue's scale for red", "* blue)) / 1.402)", "* blue)) / 1.772)"),
+        ("swapped: the other way round", "reverse.mean() - lost.mean()", "lost.mean() - reverse.mean()"),
+        ("swapped: gaps only", "| (both & (truth > 1.01 * depth))", ""),
+        ("swapped: noise, too", "(truth > 1.01 * depth)", "(truth > depth)"),
     ),
 ]
 MUTANTS: list[Mutant] = [
@@ -682,6 +703,7 @@ MUTANTS: list[Mutant] = [
     *BOUNDARY,
     *FRAMES,
     *INPUTS,
+    *MISTAKES,
 ]
 
 
