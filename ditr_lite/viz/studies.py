@@ -9,7 +9,7 @@ from ..data import Sample
 from .panels import FONT, GREY, OKABE_ITO, Picture, add_bar, error, rgb
 
 Interval = Sequence[float]
-CURVES = tuple(OKABE_ITO[k] for k in (4, 5, 2, 7, 6))  # of the parts, in training order
+PARTS = {"optical": 0, "geometric": 1, "autoencoder": 2, "detail": 6, "region": 7}  # the branches as in other pictures
 
 
 def intervals(
@@ -47,14 +47,15 @@ def training_curves(curves: Mapping[str, Sequence[tuple[int, float]]]) -> Pictur
     """Draw validation figures against the training step: stage one's IoU in a panel of its own, all errors in another.
 
     Args:
-        curves: part -> (step, figure) pairs; ``region`` holds IoU, the others errors relative to the distance.
+        curves: part of :data:`PARTS` -> (step, figure) pairs; ``region`` holds IoU, the others errors relative to the
+            distance.
     """
     figure = Picture(8.5, 2.8)
     left, right = figure.subplots(1, 2)
-    for (name, points), colour in zip(curves.items(), CURVES, strict=False):
+    for name, points in curves.items():
         ax, scale = (right, 1) if name == "region" else (left, 100)
         steps, values = np.array(points, float).T
-        ax.plot(steps, scale * values, "o-", color=colour, markersize=3, label=name)
+        ax.plot(steps, scale * values, "o-", color=OKABE_ITO[PARTS[name]], markersize=3, label=name)
     left.set(xlabel="step", ylabel="error (% of distance)", title="validation error")
     right.set(xlabel="step", ylabel="IoU", title="validation IoU of stage one")
     if left.lines:
