@@ -245,6 +245,9 @@ def test_more_things_than_windows_join_the_nearest_one():
     placed = choose_windows(region)
     assert len(placed) == MOST and sum(int(p.sum()) for _, p in placed) == region.sum()
     assert len(choose_windows(region, most=2)) == 2
+    corners = blobs((400, 400), (20, 20, 60, 60), (320, 320, 365, 365), (250, 250, 260, 260))
+    larger, smaller = (pixels for _, pixels in choose_windows(corners, most=2))
+    assert larger[340, 340] and larger[255, 255] and not smaller[255, 255]
 
 
 def test_no_region_needs_no_window():
