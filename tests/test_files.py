@@ -124,11 +124,13 @@ def test_depth_scale_applies_to_every_type(tmp_path):
     png = save_image(tmp_path / "d.png", units)
     np.save(tmp_path / "int.npy", units)
     np.save(tmp_path / "float.npy", np.full((4, 5, 1), 1.25))
+    np.save(tmp_path / "float32.npy", np.full((4, 5), 1.25, np.float32))
     assert files.read_depth(png)[0, 0] == 4.0
     assert files.read_depth(png, 0.00025)[0, 0] == 1.0
     assert files.read_depth(tmp_path / "int.npy", 0.00025)[0, 0] == 1.0
     assert files.read_depth(tmp_path / "float.npy")[0, 0] == 1.25
-    assert files.read_depth(tmp_path / "float.npy", 0.5)[0, 0] == 0.625
+    for name in ("float.npy", "float32.npy"):
+        assert files.read_depth(tmp_path / name, 0.5)[0, 0] == 0.625
     for scale in (0, -1, np.nan):
         with pytest.raises(ValueError, match="metres per unit"):
             files.read_depth(png, scale)
@@ -199,6 +201,29 @@ def test_a_file_cut_short_is_refused(tmp_path, depth, suffix):
         path.write_bytes(whole[:size])
         with pytest.raises(ValueError, match="cannot read"):
             files.read_depth(path)
+
+
+def test_every_flipped_bit_of_a_png_is_noticed(tmp_path, depth):
+    path = tmp_path / "d.png"
+    files.write_depth(path, depth)
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    for place in range(len(files.PNG_MAGIC), len(whole)):
+        flipped = bytearray(whole)
+        flipped[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(flipped)
+        with pytest.raises(ValueError, match="cannot read|claims"):  # so many pixels, or another kind of them
+            files.read_depth(path)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.99])
+def test_a_jpeg_without_its_end_is_refused(tmp_path, share):
+    smooth = np.tile(np.linspace(0, 200, 64).astype(np.uint8)[:, None, None], (1, 80, 3))
+    path = save_image(tmp_path / "a.jpg", smooth)
+    whole = path.read_bytes()
+    assert files.read_rgb(path).shape == (64, 80, 3)
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(ValueError, match="cannot read"):
+        files.read_rgb(path)
 
 
 def test_rgb_comes_red_first_and_only_as_rgb(tmp_path):
