@@ -28,6 +28,8 @@ READING_ORDER = (
 MAX_NOTEBOOK_BYTES = 500_000
 MIN_ALT = 20  # characters: "figure" or "plot" describes nothing
 FIGURE = ("image/png", "image/jpeg", "image/svg+xml")
+SHORT = READING_ORDER[:6]  # notebooks whose code cells keep the limit of CONTRIBUTING.md
+MOST_LINES, MOST_IN_EXERCISE = 15, 20  # blank lines not counted; an exercise holds its marks and checkers, too
 LEAST_PX, COLUMN_PX = 12, 736  # height of type; width of the book's narrowest column at the size of a screen
 # Headings that every notebook has, in this order.
 SECTIONS = {
@@ -80,6 +82,16 @@ def small_type(notebook):
     return small
 
 
+def long_cells(notebook):
+    """Return (number, lines) of the code cells that hold more than a reader takes in at once."""
+    long = []
+    for number, cell in enumerate(code_cells(notebook)):
+        lines = sum(bool(line.strip()) for line in cell.source.splitlines())
+        if lines > (MOST_IN_EXERCISE if "BEGIN SOLUTION" in cell.source else MOST_LINES):
+            long.append((number, lines))
+    return long
+
+
 def out_of_order(notebook):
     """Return the execution counts where they are not 1, 2, 3, … over the code cells that hold code."""
     counts = [cell.execution_count for cell in code_cells(notebook) if cell.source.strip()]
@@ -110,7 +122,9 @@ def test_notebook_rules_can_fail():
     bad.cells[1].execution_count = None
     bad.cells[1].outputs = [nbformat.v4.new_output("error", ename="E", evalue="", traceback=[])]
     bad.cells[2].metadata.alt = "a plot"
+    bad.cells[2].source = "plot()\n\n" * 16
     assert missing_sections(bad) == ["where the paper differs", "measured run time", "what next"]
+    assert long_cells(good_notebook()) == [] and long_cells(bad) == [(1, 16)]
     assert undescribed_figures(bad) == [1] and out_of_order(bad) == [None, 2] and unexpected_errors(bad) == ["x = 1"]
 
 
@@ -146,6 +160,12 @@ def test_small_type_is_noticed():
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_stored_figures_can_be_read_in_a_room(path):
     assert small_type(nbformat.read(path, as_version=4)) == []
+
+
+@pytest.mark.parametrize("path", [p for p in NOTEBOOKS if p.stem in SHORT], ids=lambda p: p.stem)
+def test_code_cells_can_be_taken_in_at_once(path):
+    notebook = nbformat.read(path, as_version=4)
+    assert long_cells(notebook) == [] and 20 <= len(code_cells(notebook)) <= 40
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

@@ -5,17 +5,18 @@ through the decoder, so no result can be expected to be better than this on aver
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 from tqdm.auto import tqdm
 
 from ..autoencoder import VQAutoencoder
-from ..conditioning import depth_bounds, fill
+from ..conditioning import Bounds, depth_bounds, fill
 from ..config import from_dict
 from ..data import Sample
 from ..evaluation.statistics import bootstrap_mean, format_interval, interval
@@ -57,6 +58,22 @@ def depth_edges(depth_gt: np.ndarray, relative: float = EDGE) -> np.ndarray:
     ].numpy()  # max / min > 1.05: a difference of logarithms
 
 
+def in_units(sample: Sample) -> tuple[Bounds, Tensor]:
+    """Return the bounds of a frame's raw depth and its ground truth in network units, (1, 1, H, W), without gaps.
+
+    Where no truth is known it is filled from around.
+
+    Raises:
+        ValueError: for a frame without ground truth, or without any reading.
+    """
+    if sample.depth_gt is None:
+        raise ValueError(f"{sample.name} has no ground-truth depth: there is nothing to encode")
+    bounds = depth_bounds(without_strays(sample.depth))
+    truth = torch.from_numpy(sample.depth_gt)[None, None]
+    known = (truth > 0).float()
+    return bounds, fill(bounds.normalise(truth) * known, known)
+
+
 @torch.no_grad()
 def reconstruct(model: VQAutoencoder, sample: Sample) -> tuple[np.ndarray, np.ndarray, Tensor]:
     """Encode and decode the ground truth of one frame, with and without the quantiser.
@@ -74,12 +91,8 @@ def reconstruct(model: VQAutoencoder, sample: Sample) -> tuple[np.ndarray, np.nd
     Raises:
         ValueError: for a frame without ground truth, without any reading, or of another size.
     """
-    if sample.depth_gt is None:
-        raise ValueError(f"{sample.name} has no ground-truth depth: there is nothing to encode")
-    bounds = depth_bounds(without_strays(sample.depth))
-    truth = torch.from_numpy(sample.depth_gt)[None, None]
-    known = (truth > 0).float()
-    out = model(fill(bounds.normalise(truth) * known, known))
+    bounds, truth = in_units(sample)
+    out = model(truth)
     both = out["reconstruction"], model.decode(out["latents"], quantize=False)
     with_it, without = (bounds.denormalise(x[0, 0].numpy()).astype(np.float32) for x in both)
     return with_it, without, out["indices"]
@@ -136,6 +149,33 @@ def measure_floor(samples: Iterable[Sample], model: VQAutoencoder, progress: boo
         "numbers_per_pixel": model.config.latent_channels / cells,
         "bits_per_pixel": math.log2(len(hits)) / cells,
     }
+
+
+def error_by_distance(model: VQAutoencoder, samples: Sequence[Sample], farthest: int = 8) -> np.ndarray:
+    """Return (N, 2, farthest + 1): squared error in square metres and pixels, by distance from the nearest depth edge.
+
+    Distances are rounded to whole pixels; the last place holds all that is as far or farther. Only pixels with known
+    truth count.
+
+    Args:
+        model: the autoencoder.
+        samples: N frames with ground truth, each with a depth edge.
+        farthest: pixels.
+
+    Raises:
+        ValueError: for a frame that :func:`reconstruct` refuses, or one without an edge.
+    """
+    sums = np.zeros((len(samples), 2, farthest + 1))
+    for part, sample in zip(sums, samples, strict=True):
+        decoded, *_ = reconstruct(model, sample)
+        edges, known = depth_edges(sample.depth_gt), sample.depth_gt > 0
+        if not edges.any():
+            raise ValueError(f"{sample.name} has no depth edge to measure distances from: leave this frame out")
+        apart = np.minimum(np.rint(distance_transform_edt(~edges)), farthest).astype(int)[known]
+        square = (decoded - sample.depth_gt.astype(np.float64))[known] ** 2
+        part[0] = np.bincount(apart, square, minlength=farthest + 1)
+        part[1] = np.bincount(apart, minlength=farthest + 1)
+    return sums
 
 
 def perplexity(counts: np.ndarray) -> float:

@@ -2,6 +2,7 @@
 
 from ..camera import unproject as point_cloud_points
 from .grids import Panel, compare, contact_sheet, grid, row, save_panel
+from .lines import curves, plot
 from .panels import (
     GREY,
     OKABE_ITO,
@@ -24,12 +25,14 @@ __all__ = [
     "Picture",
     "compare",
     "contact_sheet",
+    "curves",
     "depth",
     "depth_limits",
     "error",
     "grid",
     "heat",
     "labels",
+    "plot",
     "point_cloud_points",
     "point_cloud_side",
     "rgb",

@@ -94,6 +94,33 @@ def test_the_truth_is_what_is_encoded_and_the_raw_depth_sets_the_units(model, sa
     assert floor.reconstruct(model, unknown)[1].min() > 0.4  # filled, not 0, where no truth is known
 
 
+def test_the_truth_in_units_has_no_gaps_and_its_bounds_are_the_raw_depth_s(sample):
+    bounds, truth = floor.in_units(sample)
+    assert truth.shape == (1, 1, *SHAPE) and (bounds.low, bounds.high) == tuple(
+        getattr(depth_bounds(sample.depth), end) for end in ("low", "high")
+    )
+    assert np.allclose(bounds.denormalise(truth[0, 0].numpy()), sample.depth_gt, atol=1e-5)
+    unknown = replace(sample, depth_gt=np.where(sample.region, 0, sample.depth_gt).astype(np.float32))
+    again = floor.in_units(unknown)[1][0, 0].numpy()
+    assert np.allclose(again[~sample.region], truth[0, 0].numpy()[~sample.region]) and abs(again).max() < 5
+    with pytest.raises(ValueError, match="no ground-truth depth"):
+        floor.in_units(replace(sample, depth_gt=None))
+
+
+def test_errors_are_sorted_by_their_distance_from_an_edge(model, sample):
+    model.offset = 0.5
+    sample.depth_gt[0, 0] = 0  # unknown: it counts nowhere
+    ((squares, pixels),) = floor.error_by_distance(model, [sample], farthest=3)
+    # the step lies between columns 19 and 20, so these two are edges; all columns but 17 to 22 are three away or more
+    assert pixels.tolist() == [2 * SHAPE[0], 2 * SHAPE[0], 2 * SHAPE[0], (SHAPE[1] - 6) * SHAPE[0] - 1]
+    square = (shifted(sample, 0.5) - sample.depth_gt) ** 2
+    assert squares[0] == pytest.approx(square[:, 19:21].sum(), rel=1e-4)
+    assert squares.sum() == pytest.approx(square[sample.depth_gt > 0].sum(), rel=1e-4)
+    flat = replace(sample, depth_gt=np.full(SHAPE, 0.7, np.float32))
+    with pytest.raises(ValueError, match="no depth edge"):
+        floor.error_by_distance(model, [flat])
+
+
 def test_the_report_counts_pixels_codes_and_millimetres(model, sample):
     model.offset = 0.5
     report = floor.measure_floor([sample, sample], model, progress=False)
