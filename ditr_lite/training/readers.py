@@ -242,22 +242,28 @@ def _decode(reader: FrameFolder, names: list[str], how: RealFrames, size: tuple[
     by_shape: dict[tuple[int, int], list[str]] = {}
     for name in tqdm(names, "sizes", unit="frame", leave=False):
         by_shape.setdefault(reader[name].depth.shape, []).append(name)
-    described = []
     with folder_written_whole(folder) as part:
+        described = []
         for k, (shape, group) in enumerate(by_shape.items()):
-            small = stored_size(shape, size)
-            arrays = {name: _map_file(part, k, name, (len(group), *small), "w+") for name in MAPS}
-            teach, checksums = [], {name: [] for name in MAPS}
-            for i, name in enumerate(tqdm(group, "decoding", unit="frame")):
-                maps, row = _maps(reader[name], small, how.zero_region)
-                teach.append(row)
-                for key, values in maps.items():
-                    arrays[key][i] = values
-                    checksums[key].append(zlib.crc32(arrays[key][i]))
-            for array in arrays.values():
-                array.flush()
-            described.append({"names": group, "size": small, "teach": teach, "checksums": checksums})
+            described.append(_write_group(reader, group, part, k, stored_size(shape, size), how.zero_region))
         (part / DESCRIPTION).write_text(json.dumps({"sha256": _digest(described), "groups": described}))
+
+
+def _write_group(
+    reader: FrameFolder, names: list[str], folder: Path, k: int, size: tuple[int, int], zero_region: bool
+) -> dict[str, Any]:
+    """Write the maps of group ``k``, frames of one size, and return what is said of it; its files are closed then."""
+    arrays = {name: _map_file(folder, k, name, (len(names), *size), "w+") for name in MAPS}
+    teach, checksums = [], {name: [] for name in MAPS}
+    for i, name in enumerate(tqdm(names, "decoding", unit="frame")):
+        maps, row = _maps(reader[name], size, zero_region)
+        teach.append(row)
+        for key, values in maps.items():
+            arrays[key][i] = values
+            checksums[key].append(zlib.crc32(arrays[key][i]))
+    for array in arrays.values():
+        array.flush()
+    return {"names": names, "size": size, "teach": teach, "checksums": checksums}
 
 
 def _map_file(folder: Path, k: int, name: str, shape: tuple[int, int, int], mode: str) -> np.memmap:
