@@ -709,9 +709,10 @@ def run_tests(mutant: Mutant | None, tests: Sequence[str]) -> tuple[int, str, fl
         left_out = shutil.ignore_patterns("*.safetensors", "__pycache__")
         for part in ("ditr_lite", SCENES):
             shutil.copytree(ROOT / part, copy / part, ignore=left_out)
-        for test in (*tests, HELPER):
-            (copy / test).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(ROOT / test, copy / test)
+        fixtures = {str(Path(test).with_name("conftest.py")) for test in tests}
+        for file in (*tests, HELPER, *(f for f in fixtures if (ROOT / f).is_file())):
+            (copy / file).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / file, copy / file)
         if mutant is not None:
             target = copy / "ditr_lite" / f"{mutant.file}.py"
             target.write_text(mutate(target.read_text(encoding="utf-8"), mutant), encoding="utf-8")
