@@ -73,6 +73,11 @@ class Train:
         add_engine(p)
         p.add_argument("--seeds", type=whole(1, 100), default=1, help="of a comparison: train each arm so often (1)")
         p.add_argument("--json", type=Path, help="of a comparison: also write every frame's errors to this file")
+        p.add_argument(
+            "--every",
+            type=whole(),
+            help="steps between validations, each with a checkpoint (default: 500, in fine-tuning 20)",
+        )
         p.add_argument("--cost", action="store_true", help="only print what the training would cost")
         add_recipe(p, "steps instead of the recipe's")
 
@@ -113,7 +118,7 @@ class Train:
             if options.cost:
                 continue
             how = {"limit": options.limit, "seed": options.seed, "boundary": options.boundary}
-            how |= {"command": command_line(options), "engine": engine_of(options), "real": real}
+            how |= {"command": command_line(options), "engine": engine_of(options), "real": real} | every_of(options)
             notes = fitting.train(part, config, data, val, out=out, work=work, recipe=recipe, **how)
             last = {k: v for k, v in (notes["curve"] or [{}])[-1].items() if "step" not in k and "second" not in k}
             figures = ", ".join(f"{k} {v:.4f}" for k, v in last.items())
@@ -177,7 +182,7 @@ def fine_tune(options: Namespace, settings: dict[str, str]) -> None:
             raise ValueError(f"cannot fine-tune {part!r}: choose all or one of {', '.join(has)}")
         recipe = replace(adapt.RECIPES[part], **changes(options))
         how = {"seed": options.seed, "boundary": options.boundary, "command": command_line(options)}
-        how["engine"] = engine_of(options)
+        how |= {"engine": engine_of(options)} | every_of(options)
         notes = adapt.adapt(part, config, pool, held_out, options.start, options.out, work, recipe, **how)
         if is_first():
             print(judgement(part, notes))
@@ -308,6 +313,8 @@ def experiment(options: Namespace, settings: dict[str, str]) -> None:
         raise ValueError("--out is one weights folder, of one seed: leave out --seeds, or --out")
     if options.seed + options.seeds - 1 > MAX_SEED:
         raise ValueError(f"--seed {options.seed} leaves no {options.seeds} seeds: the largest is {MAX_SEED}")
+    if options.every is not None:
+        raise ValueError("--every is of a training that is resumed: a comparison of settings always runs to its end")
     for name in ("data", "val"):
         if len(getattr(options, name) or []) > 1:
             raise ValueError(f"a comparison takes one folder of scenes as --{name}, got {len(getattr(options, name))}")
@@ -364,6 +371,11 @@ def add_recipe(p: ArgumentParser, steps: str) -> None:
     p.add_argument("--lr", type=RATE, help="peak learning rate instead of the recipe's")
     p.add_argument("--limit", type=whole(), help="use only the first scenes")
     p.add_argument("--seed", type=seed, default=0, help="of everything random (%(default)s)")
+
+
+def every_of(options: Namespace) -> dict[str, int]:
+    """Return how often to validate and to write a checkpoint where the command line says so."""
+    return {} if options.every is None else {"every": options.every}
 
 
 def changes(options: Namespace) -> dict[str, float]:
