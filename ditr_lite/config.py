@@ -39,13 +39,19 @@ class RegionConfig:
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """Region refinement (Paper: Sec. IV-B): median filter, then dilation, both in pixels of the mask it is given."""
+    """From stage one's network to the region (Paper: Sec. IV-B): looks, probability, median filter, dilation.
+
+    The paper looks once. With more ``looks``, or mirrored ones, the logits of all are averaged; kernels are in pixels
+    of the mask they are given.
+    """
 
     median: int = 7
     dilate: int = 5
     iterations: int = 3
     threshold: float = 0.5  # probability above which a pixel is claimed
     temperature: float = 1.0  # logits are divided by it, so that the probability means what it says
+    looks: tuple[float, ...] = (1.0,)  # working sizes; a frame is looked at above 1 only where it has the pixels
+    mirrored: bool = False  # look at each size a second time, left and right exchanged
 
     def __post_init__(self) -> None:
         if not 0 < self.threshold < 1 or not self.temperature > 0:
@@ -53,6 +59,8 @@ class RefineConfig:
                 f"refine: expected a threshold between 0 and 1 and a temperature above 0, "
                 f"got {self.threshold} and {self.temperature}"
             )
+        if not self.looks or self.looks[0] != 1 or min(self.looks) < 1:
+            raise ValueError(f"refine.looks: expected 1.0 first and no size below it, got {self.looks}")
 
 
 @dataclass(frozen=True)
@@ -192,7 +200,9 @@ PRESETS: dict[str, Config] = {
         detail=DetailConfig(width=8),
     ),
     "lite": Config(
-        refine=RefineConfig(median=3, dilate=3, iterations=1, temperature=1.1561),  # as std: on validation scenes
+        refine=RefineConfig(  # temperature, as std: on validation scenes
+            looks=(1.0, 1.5), mirrored=True, median=3, dilate=3, iterations=1, temperature=1.1561
+        ),
         detail=DetailConfig(strength=0.4),  # on rendered glass readings are worse than a camera's: see the data card
         std=StdConfig(base=(0.0612, 0.0119), factor=(9.6051, 5.9631), kept=0.0176, missed=0.1405),
     ),

@@ -463,16 +463,17 @@ def _picture(path: Path, data: bytes, indices: bool, turn: bool) -> np.ndarray:
                 kind, mode, size, pages = held.format, held.mode, held.size, getattr(held, "n_frames", 1)
                 orientation = held.getexif().get(ORIENTATION, 1)
                 palette = mode == "P" and _coloured(held.getpalette())
-                if size[0] * size[1] > MAX_PIXELS:
-                    raise ValueError(f"{path} claims {size[0]} x {size[1]} pixels, more than any camera has")
-                if kind == "TIFF" or (indices and mode in ("P", "LA") and (palette or mode == "LA")):
+                huge = size[0] * size[1] > MAX_PIXELS
+                if not huge and (kind == "TIFF" or (indices and mode in ("P", "LA") and (palette or mode == "LA"))):
                     array = np.asarray(held).copy()
                 else:
                     array = None
     except (Image.UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, TypeError, KeyError):
         raise ValueError(unreadable) from None
-    except (struct.error, EOFError, IndexError, OverflowError, MemoryError, AttributeError, zlib.error):
+    except (ValueError, struct.error, EOFError, IndexError, OverflowError, MemoryError, AttributeError, zlib.error):
         raise ValueError(unreadable) from None
+    if huge:
+        raise ValueError(f"{path} claims {size[0]} x {size[1]} pixels, more than any camera has")
     if mode == "CMYK":
         raise ValueError(f"{path} holds printing colours (CMYK): save it as RGB")
     if kind == "TIFF" and pages > 1:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from . import diffusion
@@ -69,10 +70,8 @@ def own_sampler(sampler: Sampler) -> Sampler:
         if not isinstance(drawn, Tensor) or drawn.shape != shape:
             got = tuple(drawn.shape) if isinstance(drawn, Tensor) else type(drawn).__name__
             raise ValueError(f"sampler: expected a tensor {tuple(shape)} of latents, got {got}")
-        if not drawn.is_floating_point():
-            raise ValueError(f"sampler: expected latents of floating-point numbers, got {drawn.dtype}")
-        if not torch.isfinite(drawn).all():
-            raise ValueError("sampler: the latents hold NaN or infinity")
+        if not (drawn.is_floating_point() and drawn.isfinite().all()):
+            raise ValueError(f"sampler: expected latents of floating-point numbers, all finite, got {drawn.dtype}")
         return drawn.float()
 
     return call
@@ -83,8 +82,8 @@ def _device(name: str | torch.device) -> torch.device:
         device = torch.device(name)
         torch.empty(0, device=device)
     except (RuntimeError, AssertionError, NotImplementedError, TypeError) as error:
-        reason = str(error).splitlines()[0]
-        raise ValueError(f"device {name!r} cannot be used here ({reason}); choose 'cpu'") from None
+        why = str(error).splitlines()[0]
+        raise ValueError(f"device {name!r} cannot be used here ({why}); choose 'cpu'") from None
     return device
 
 
@@ -245,11 +244,7 @@ class Ditr:
 
     @torch.no_grad()
     def claim(
-        self,
-        rgb: np.ndarray,
-        depth: np.ndarray,
-        threshold: float | None = None,
-        refine: RefineConfig | None = None,
+        self, rgb: np.ndarray, depth: np.ndarray, threshold: float | None = None, refine: RefineConfig | None = None
     ) -> Claim:
         """Return what stage one says of a frame, at the working size; arguments as for :meth:`find_region`."""
         frame, classes = self.classify(rgb, depth)
@@ -262,12 +257,22 @@ class Ditr:
     @torch.no_grad()
     def classify(self, rgb: np.ndarray, depth: np.ndarray) -> tuple[Frame, np.ndarray]:
         """Return how the frame lies in the working size and (classes, h, w) probabilities there, calibrated."""
-        frame = fit_frame(depth.shape, self.config.size)
+        refine, frame = self.config.refine, fit_frame(depth.shape, self.config.size)
+        larger = frame.height < depth.shape[0]  # the frame has more pixels than the working size shows
+        logits = [self.region_logits(rgb, depth, scale) for scale in refine.looks if scale == 1 or larger]
+        mean = torch.cat(logits).mean(0)  # (looks, classes, h, w) -> (classes, h, w)
+        return frame, (mean / refine.temperature).softmax(dim=0).cpu().numpy()
+
+    def region_logits(self, rgb: np.ndarray, depth: np.ndarray, scale: float) -> Tensor:
+        """Return stage one's logits (1 or 2, classes, h, w) at the working size, from ``scale`` times that size."""
+        frame = fit_frame(depth.shape, tuple(round(scale * n) for n in self.config.size))
         small = without_strays(frame.into(depth))
-        depth_n, valid = depth_tensors(small, depth_bounds(small))
-        image = to_tensor(frame.into(rgb)[None])
-        logits = self.parts["region"](*self._put(image, depth_n, valid))["logits"]
-        return frame, (logits / self.config.refine.temperature).softmax(dim=1)[0].cpu().numpy()
+        seen = self._put(to_tensor(frame.into(rgb)[None]), *depth_tensors(small, depth_bounds(small)))
+        logits = self.parts["region"](*seen)["logits"]
+        if self.config.refine.mirrored:
+            mirrored = self.parts["region"](*(x.flip(-1) for x in seen))["logits"]
+            logits = torch.cat([logits, mirrored.flip(-1)])
+        return F.interpolate(logits, size=self.config.size, mode="bilinear", antialias=True)
 
     def refine(self, mask: np.ndarray, kernels: RefineConfig | None = None) -> np.ndarray:
         """Refine a mask at the working size (Paper: Sec. IV-B), with the configuration's kernels unless others come."""
@@ -367,7 +372,7 @@ class Ditr:
         Returns:
             the views, on the device, and their bounds as tensors (B, 1, 1, 1).
         """
-        rows, lows, highs = [], [], []
+        rows, limits = [], []
         for i, (rgb, depth, region) in enumerate(pictures):
             depth = without_strays(depth)
             bounds = depth_bounds(depth, ~region if around else None)
@@ -376,21 +381,19 @@ class Ditr:
             guiding = np.zeros_like(region) if guide is None else maps[guide]
             masks = [torch.from_numpy(m)[None, None].float() for m in (region, guiding, maps[M_RGB])]  # (1, 1, h, w)
             rows.append((to_tensor(rgb[None]), depth_n, valid, *masks))
-            lows.append(bounds.low)
-            highs.append(bounds.high)
+            limits.append((bounds.low, bounds.high))
         columns = (torch.cat(column) for column in zip(*rows, strict=True))
-        low = torch.tensor(lows, dtype=torch.float32).view(-1, 1, 1, 1)
-        high = torch.tensor(highs, dtype=torch.float32).view(-1, 1, 1, 1)
+        low, high = torch.tensor(limits, dtype=torch.float32).T.reshape(2, -1, 1, 1, 1)  # (B, 2) -> two (B, 1, 1, 1)
         return Views(*self._put(*columns)), Bounds(low, high)
 
     def painter(self, branch: str, plan: Plan = Plan()) -> Painter:  # noqa: B008  frozen
         """Return the networks of one branch."""
-        parts = self.parts
+        parts = dict(self.parts.items())
         return Painter(
             net=parts[branch],
             autoencoder=parts["autoencoder"],
-            encoder=parts["encoder"] if "encoder" in parts else None,
-            detail=parts["detail"] if plan.detail and "detail" in parts else None,
+            encoder=parts.get("encoder"),
+            detail=parts.get("detail") if plan.detail else None,
             evidence=plan.evidence and self.config.evidence and branch == "optical",
         )
 
@@ -404,8 +407,7 @@ class Ditr:
         painter = self.painter(branch, plan)
         drawn = paint(painter, views, self.schedule, steps, samples, prediction, generator, self.sampler).cpu()
         metres = bounds.denormalise(drawn)[:, :, 0]  # (S, B, 1, h, w) -> (S, B, h, w)
-        # metric depth is positive, whatever a network says
-        metres = torch.maximum(metres, 0.5 * bounds.low[:, 0])
+        metres = torch.maximum(metres, 0.5 * bounds.low[:, 0])  # positive, whatever a network says
         spread = metres.std(dim=0) if samples > 1 else torch.zeros_like(metres[0])
         return metres.mean(dim=0).numpy(), spread.numpy()
 

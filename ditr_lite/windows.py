@@ -394,19 +394,6 @@ class Painting:
             layer.onto(image, "mean")
         return image
 
-    @property
-    def geometric_spread(self) -> np.ndarray:
-        """(H, W) float32 metres, standard deviation over samples."""
-        return self.whole.view.back(self.whole.spread)
-
-    @property
-    def optical_spread(self) -> np.ndarray:
-        """(H, W) float32 metres, likewise."""
-        image = self.geometric_spread
-        for layer in self.close:
-            layer.onto(image, "spread")
-        return image
-
     def compose(self, depth: np.ndarray, region: np.ndarray) -> np.ndarray:
         """Return what ``pipeline.compose`` makes of this, (H, W) float32 metres, with fewer maps in memory at once."""
         out = self.geometric
@@ -416,8 +403,8 @@ class Painting:
         return out
 
     def spread(self, region: np.ndarray) -> np.ndarray:
-        """Return (H, W) float32 metres, the spread of the branch that paints each pixel."""
-        out = self.geometric_spread
+        """Return (H, W) float32 metres, the standard deviation over samples of the branch that paints each pixel."""
+        out = self.whole.view.back(self.whole.spread)
         for layer in self.close:
             layer.onto(out, "spread", region)
         return out

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
-HELPER = "tests/made_scenes.py"  # imported by tests
+HELPER, SCENES = "tests/made_scenes.py", "data_samples/val"  # what tests import and look at
 
 
 class Mutant(NamedTuple):
@@ -580,6 +580,11 @@ FRAMES = [
         ),
         ("evidence always", "views.guide, painter.evidence", "views.guide, True"),
         ("not sharpened", "if painter.detail is not None:", "if painter.detail is None:"),
+        (
+            "sharpened outside its area",
+            "views.valid, views.region, views.rgb",
+            "views.valid, 1 - views.region, views.rgb",
+        ),
         ("colour features at the wrong strides", "painter.encoder(_cl(rgb))[1:]", "painter.encoder(_cl(rgb))[:3]"),
         (
             "samples and views mixed",
@@ -610,7 +615,7 @@ INPUTS = [
         ("scale: of integers only", "if raw.dtype == np.float32 and scale == 1:", "if raw.dtype == np.float32:"),
         ("65535 is a distance", "row[stored == NO_READING] = 0", "pass"),
         ("PNG: checksums are not read", 'zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big")', "False"),
-        ("JPEG: the end is not looked for", 'data.rfind(b"\\xff\\xd9") < data.rfind(b"\\xff\\xda")', "False"),
+        ("JPEG: the end of a thumbnail counts", 'data.rfind(b"\\xff\\xd9") <', 'data.find(b"\\xff\\xd9") <'),
         ("PNG out: always millimetres", "depth_to_png(depth_m, depth_scale))", "depth_to_png(depth_m))"),
     ),
     *family(
@@ -665,10 +670,26 @@ INPUTS = [
         "a frame's way back",
         "windows",
         ("spread: of the geometric branch", 'layer.onto(out, "spread", region)', "pass"),
+        ("composed: the optical branch outside its area", 'layer.onto(out, "mean", region)', 'layer.onto(out, "mean")'),
+        ("composed: the geometric branch inside", 'layer.onto(out, "mean", region)', "pass"),
         ("composed: readings lost", "np.copyto(out, depth, where=(depth > 0) & ~region)", "pass"),
         ("composed: readings of the region, too", "where=(depth > 0) & ~region)", "where=depth > 0)"),
         ("holes: everything is raised", "out=painted[rows], where=holes[rows])", "out=painted[rows])"),
         ("rows of cells are mixed", "np.searchsorted(y, (cells.start, cells.stop))", "(cells.start, cells.stop)"),
+    ),
+]
+MISTAKES = [
+    *family(
+        "mistakes of a frame",
+        "units",
+        ("inverse: depth taken for it", "(where, values, rng) > _on", "(where, 1 / values, rng) > _on"),
+        ("inverse: coarse values, too", "if not steps.size or", "if False and"),
+        ("BGR: judged as it came only", "and _of_jpeg(pixels[:, ::-1]) > LATTICE[1]", ""),
+        ("BGR: grey, too", "> 8)]", "> -1)]"),
+        ("BGR: blue's scale for red", "* blue)) / 1.402)", "* blue)) / 1.772)"),
+        ("swapped: the other way round", "reverse.mean() - lost.mean()", "lost.mean() - reverse.mean()"),
+        ("swapped: gaps only", "| (both & (truth > 1.01 * depth))", ""),
+        ("swapped: noise, too", "(truth > 1.01 * depth)", "(truth > depth)"),
     ),
 ]
 MUTANTS: list[Mutant] = [
@@ -682,6 +703,7 @@ MUTANTS: list[Mutant] = [
     *BOUNDARY,
     *FRAMES,
     *INPUTS,
+    *MISTAKES,
 ]
 
 
@@ -706,15 +728,18 @@ def run_tests(mutant: Mutant | None, tests: Sequence[str]) -> tuple[int, str, fl
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
-        shutil.copytree(ROOT / "ditr_lite", copy / "ditr_lite", ignore=shutil.ignore_patterns("weights", "__pycache__"))
-        for test in (*tests, HELPER):
-            (copy / test).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(ROOT / test, copy / test)
+        left_out = shutil.ignore_patterns("*.safetensors", "__pycache__")
+        for part in ("ditr_lite", SCENES):
+            shutil.copytree(ROOT / part, copy / part, ignore=left_out)
+        fixtures = {str(Path(test).with_name("conftest.py")) for test in tests}
+        for file in (*tests, HELPER, *(f for f in fixtures if (ROOT / f).is_file())):
+            (copy / file).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / file, copy / file)
         if mutant is not None:
             target = copy / "ditr_lite" / f"{mutant.file}.py"
             target.write_text(mutate(target.read_text(encoding="utf-8"), mutant), encoding="utf-8")
-        # the copy comes first on the path, before an installed package; comparisons with libraries and tests on
-        # rendered scenes, which are not copied, are left out
+        # the copy comes first on the path, before an installed package; comparisons with libraries and tests on all
+        # rendered scenes take long and are left out
         plain = [
             "-p",
             "no:cacheprovider",

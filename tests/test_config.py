@@ -120,6 +120,7 @@ def test_settings_that_are_right_only_together_are_taken_in_any_order():
         ({"std.base": "0.1"}, "each of 2 branches"),
         ({"window": 100}, "window: expected 0 or a multiple of 32, got 100"),
         ({"refine.threshold": 1.0}, "a threshold between 0 and 1"),
+        ({"refine.looks": (0.5,)}, "1.0 first and no size below it"),
         ({"refine.temperature": 0.0}, "a temperature above 0"),
     ],
 )

@@ -1,9 +1,9 @@
 """The shipped scenes are what their card says."""
 
-import importlib.util
 import re
 from pathlib import Path
 
+import data_card as tool
 import numpy as np
 import pytest
 
@@ -16,16 +16,6 @@ ROOT = Path(__file__).resolve().parents[1]
 CARD = (SAMPLES / "README.md").read_text(encoding="utf-8")
 SHIPPED = [split for split in SPLITS + ROOM_SPLITS if split != "rooms_train"]
 FEW = [name for split in SHIPPED for name in list_samples(split)[::24]]
-
-
-def load_tool():
-    spec = importlib.util.spec_from_file_location("data_card", ROOT / "tools" / "data_card.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-tool = load_tool()
 
 
 @pytest.mark.parametrize("split", SHIPPED)

@@ -28,7 +28,6 @@ READING_ORDER = (
 MAX_NOTEBOOK_BYTES = 500_000
 MIN_ALT = 20  # characters: "figure" or "plot" describes nothing
 FIGURE = ("image/png", "image/jpeg", "image/svg+xml")
-SHORT = READING_ORDER[:6]  # notebooks whose code cells keep the limit of CONTRIBUTING.md
 MOST_LINES, MOST_IN_EXERCISE = 15, 20  # blank lines not counted; an exercise holds its marks and checkers, too
 LEAST_PX, COLUMN_PX = 12, 736  # height of type; width of the book's narrowest column at the size of a screen
 # Headings that every notebook has, in this order.
@@ -162,7 +161,7 @@ def test_stored_figures_can_be_read_in_a_room(path):
     assert small_type(nbformat.read(path, as_version=4)) == []
 
 
-@pytest.mark.parametrize("path", [p for p in NOTEBOOKS if p.stem in SHORT], ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_code_cells_can_be_taken_in_at_once(path):
     notebook = nbformat.read(path, as_version=4)
     assert long_cells(notebook) == [] and 20 <= len(code_cells(notebook)) <= 40

@@ -149,22 +149,25 @@ ODD = st.sampled_from([0.0, -1.0, np.nan, np.inf, -np.inf, 100.0, 1e-4]) | st.fl
 @settings(max_examples=15, deadline=None)
 @given(data=st.data(), height=st.integers(1, 70), width=st.integers(1, 70), adjust=st.booleans())
 def test_readings_come_back_bit_for_bit_and_the_rest_is_filled(ditr, data, height, width, adjust):
+    kind = data.draw(st.sampled_from([np.float16, np.float32, np.float64]))
     few = data.draw(arrays(np.float64, (min(height, 4), min(width, 4)), elements=ODD))
     tiles = (-(-height // few.shape[0]), -(-width // few.shape[1]))
-    depth = np.tile(few, tiles)[:height, :width]
-    region = data.draw(arrays(bool, (height, width)) | st.just(np.zeros((height, width), bool)))
+    depth = np.tile(few, tiles)[:height, :width].astype(kind)
+    region = data.draw(arrays(bool, (height, width)) | st.just(np.zeros((height, width), bool)) | st.none())
     rgb = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
-    before = depth.copy()
+    given = [None if array is None else array.copy() for array in (rgb, depth, region)]
     try:
         clean = check_inputs(rgb, depth, region, 1)[1]
     except ValueError:
         return  # nothing to complete from
     out = ditr(rgb, depth, region, steps=1, samples=1, adjust=adjust)
-    keep = (clean > 0) & ~region
+    keep = (clean > 0) & ~out.region
     assert out.depth.shape == (height, width) and out.depth.dtype == np.float32
-    assert np.isfinite(out.depth).all() and (out.depth > 0).all() and np.array_equal(out.region, region)
+    assert np.isfinite(out.depth).all() and (out.depth > 0).all()
+    assert region is None or np.array_equal(out.region, given[2])
     assert adjust or np.array_equal(out.depth[keep].view(np.uint32), clean[keep].view(np.uint32))
-    assert np.array_equal(depth, before, equal_nan=True)
+    assert np.array_equal(rgb, given[0]) and np.array_equal(depth, given[1], equal_nan=True)
+    assert region is None or np.array_equal(region, given[2])
 
 
 @settings(deadline=None)

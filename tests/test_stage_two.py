@@ -99,6 +99,17 @@ def test_samples_share_residual_trust_and_affinities():
     assert torch.allclose(together.flip(0), backwards, atol=1e-5)
 
 
+def test_the_final_step_is_told_which_area_is_painted():
+    class Shown:
+        def spread(self, given, decoded):
+            return given[:, 2:5]  # readings outside the region, readings inside, the region
+
+    what = views()
+    outside, inside, region = sharpen(Shown(), torch.randn(4, 1, 32, 64), what).split(1, dim=1)
+    assert torch.equal(region, what.region)
+    assert torch.equal(outside, what.valid * (1 - what.region)) and torch.equal(inside, what.valid * what.region)
+
+
 def test_a_seed_paints_the_same_and_samples_differ():
     who, what = painter(), views()
     one, again, other = (go(who, what, seed, samples=2) for seed in (1, 1, 2))

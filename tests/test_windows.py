@@ -77,7 +77,7 @@ def test_scan_lines_survive_and_the_reading_closest_to_the_centre_counts():
     assert (fit_frame(lines.shape, (64, 96)).into(lines) > 0).sum() > 20 * 80
     image, small = np.zeros((8, 8), np.float32), np.zeros((2, 2), np.float32)
     image[0, 0], image[1, 2], image[7, 7] = 1.0, 2.0, 3.0
-    small[1, 0] = 9.0
+    small[1, 0], image[6, 1] = 9.0, 4.0  # has a reading already
     pool_readings(small, image)
     assert small.tolist() == [[2, 0], [9, 3]]
     same = np.zeros((8, 8), np.float32)
@@ -245,6 +245,9 @@ def test_more_things_than_windows_join_the_nearest_one():
     placed = choose_windows(region)
     assert len(placed) == MOST and sum(int(p.sum()) for _, p in placed) == region.sum()
     assert len(choose_windows(region, most=2)) == 2
+    corners = blobs((400, 400), (20, 20, 60, 60), (320, 320, 365, 365), (250, 250, 260, 260))
+    larger, smaller = (pixels for _, pixels in choose_windows(corners, most=2))
+    assert larger[340, 340] and larger[255, 255] and not smaller[255, 255]
 
 
 def test_no_region_needs_no_window():

@@ -1,13 +1,12 @@
 """What the training loop promises, measured: processes, kills, real readers, fine-tuning, the model of its time.
 
-    python tools/training_study.py processes|kills|readers|finetune|cost [--json FILE] [...]
+    python tools/training_study.py processes|readers|finetune|cost [--json FILE] [...]
 
 Each is a command of minutes on two cores, and says how busy the machine was: times by the clock mean nothing beside
 other work. The networks are small on purpose; what is measured is the loop, not the method.
 
 =========  ========================================================================================================
 processes  two processes against one, the same steps: held-out loss, and frames a second
-kills      a training is killed with SIGKILL at random moments and gone on with: are the weights the same bits?
 readers    trained on scenes, and on the same scenes in ClearGrasp's layout through its reader: the same error?
 finetune   the shipped optical branch on a few frames of another sensor: better there, and not worse at home?
 cost       the model of the time, fitted to small steps, on a size that was left out
@@ -15,14 +14,13 @@ cost       the model of the time, fitted to small steps, on a size that was left
 """
 
 import argparse
-import multiprocessing
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -42,29 +40,28 @@ from ditr_lite.training import adapt, boundary, loop, parts, readers, scenes
 
 ROOT = Path(__file__).resolve().parents[1]
 SENSOR = "structure"
+BATCH = 8  # crops a step of the outlines
 
 
-@cache
-def crops_of(split: str, batch: int):
-    """Return what draws crops of a shipped split, read once."""
+def crops_of(split: str):
+    """Return what draws crops of a shipped split."""
     found = scenes.load_scenes(SAMPLES / split)
-    return partial(boundary.draw_outlines, "depth", found, boundary.exact_outlines(found)["depth"], batch, 0)
+    return partial(boundary.draw_outlines, "depth", found, boundary.exact_outlines(found)["depth"], BATCH, 0)
 
 
-def outlines(folder: Path | None, steps: int, watch=None, every: int = 500, batch: int = 8) -> dict:
-    """Train the network that finds outlines in depth on shipped scenes; without a folder, score it on others, too."""
+def outlines(steps: int, watch) -> dict:
+    """Train the network that finds outlines in depth on shipped scenes, and score it on others."""
     torch.manual_seed(0)
     net = build_nets()["depth"].to(memory_format=torch.channels_last)
-    recipe = loop.Recipe(steps=steps, batch=batch, lr=3e-3, warmup=min(10, steps), decay=0.9)
+    recipe = loop.Recipe(steps=steps, batch=BATCH, lr=3e-3, warmup=min(10, steps), decay=0.9)
     score = partial(boundary.score_crops, net)
 
     def validate() -> dict[str, float]:
-        held_out = loop.Step(crops_of("val", batch), score)
+        held_out = loop.Step(crops_of("val"), score)
         return {"val": float(np.mean([float(held_out(k)["total"]) for k in range(8)]))}
 
     how = {"watch": watch, "engine": loop.Engine(cpu=True), "progress": False}
-    step = loop.Step(crops_of("train", batch), score)
-    return loop.fit("outlines", net, step, recipe, folder, validate if folder is None else None, every, **how)
+    return loop.fit("outlines", net, loop.Step(crops_of("train"), score), recipe, None, validate, **how)
 
 
 # --- processes --------------------------------------------------------------------------------------------------------
@@ -99,68 +96,13 @@ def _started(count: int, steps: int) -> dict:
 def worker(options: argparse.Namespace) -> dict:
     """Be one process of :func:`processes`: time all steps but the first three, which warm up."""
     moments: list[float] = []
-    notes = outlines(None, options.steps, lambda *_: moments.append(time.monotonic()))
+    notes = outlines(options.steps, lambda *_: moments.append(time.monotonic()))
     if not loop.is_first():
         loop.leave()
         return {}
     loop.leave()
-    frames = 8 * (len(moments) - 4)
+    frames = BATCH * (len(moments) - 4)
     return {"val": notes["curve"][-1]["val"], "frames_per_s": frames / (moments[-1] - moments[3])}
-
-
-# --- kills ------------------------------------------------------------------------------------------------------------
-
-
-def kills(options: argparse.Namespace) -> dict:
-    """Kill a training at random moments, go on, and compare the last checkpoint's tensors with a training without."""
-    rng = np.random.default_rng(options.seed)
-    crops_of("train", 2)  # read before the processes begin, which inherit it
-    with tempfile.TemporaryDirectory() as folder:
-        home = Path(folder)
-        _in_a_process(home / "whole", options.steps, None)
-        wanted, same, when = _last(home / "whole"), [], []
-        for k in range(options.count):
-            moment = int(rng.integers(1, options.steps)), float(rng.uniform(0, 0.3))
-            ended = _in_a_process(home / str(k), options.steps, moment)
-            _in_a_process(home / str(k), options.steps, None)
-            found = _last(home / str(k))
-            same.append(found.keys() == wanted.keys() and all(torch.equal(found[n], wanted[n]) for n in wanted))
-            when.append({"step": moment[0], "seconds_later": moment[1], "checkpoint": ended})
-            where = f"{moment[1]:.2f} s after step {moment[0]}, checkpoint of step {ended}"
-            print(f"killed {where}: the same bits: {same[-1]}", flush=True)
-    print(f"{sum(same)} of {len(same)} killed trainings end in the bits of one that was not")
-    return {"same": same, "kills": when, "steps": options.steps}
-
-
-def _in_a_process(folder: Path, steps: int, kill: tuple[int, float] | None) -> int:
-    """Train in a process of its own, kill it some seconds after a step, and return the step of its checkpoint."""
-    context = multiprocessing.get_context("fork" if sys.platform.startswith("linux") else "spawn")
-    done = context.Value("i", 0)
-    process = context.Process(target=_counted, args=(folder, steps, done))
-    process.start()
-    if kill is None:
-        process.join()
-    while process.is_alive() and done.value < kill[0]:
-        process.join(0.005)
-    process.join(kill[1] if kill else None)
-    process.kill()
-    process.join()
-    return int(_last(folder)["step"]) if (folder / "outlines.checkpoint.safetensors").is_file() else 0
-
-
-def _counted(folder: Path, steps: int, done) -> None:
-    """Train and say how many steps are done."""
-
-    def watch(step: int, _: dict[str, float]) -> None:
-        done.value = step + 1
-
-    outlines(folder, steps, watch, every=2, batch=2)
-
-
-def _last(folder: Path) -> dict[str, torch.Tensor]:
-    from safetensors.torch import load_file
-
-    return load_file(str(folder / "outlines.checkpoint.safetensors"))
 
 
 # --- readers ----------------------------------------------------------------------------------------------------------
@@ -256,8 +198,8 @@ def cost(options: argparse.Namespace) -> dict:
     return {"sizes": sizes, "seconds": seconds, "predicted": predicted, "off": off, "model": vars(model)}
 
 
-STUDIES = {"processes": processes, "kills": kills, "readers": through_readers, "finetune": finetune, "cost": cost}
-STEPS = {"processes": 40, "kills": 12, "readers": 150, "finetune": 300, "cost": 1, "worker": 40}
+STUDIES = {"processes": processes, "readers": through_readers, "finetune": finetune, "cost": cost}
+STEPS = {"processes": 40, "readers": 150, "finetune": 300, "cost": 1, "worker": 40}
 
 
 def main() -> None:
@@ -266,10 +208,8 @@ def main() -> None:
     parser.add_argument("study", choices=[*STUDIES, "worker"])
     parser.add_argument("--steps", type=int, help="of a training")
     parser.add_argument("--rounds", type=int, default=3, help="of processes and cost (%(default)s)")
-    parser.add_argument("--count", type=int, default=10, help="kills (%(default)s)")
     parser.add_argument("--frames", type=int, default=16, help="of the other sensor, to train on; as many to judge")
     parser.add_argument("--limit", type=int, help="use only the first scenes, or test scenes")
-    parser.add_argument("--seed", type=int, default=0, help="of the moments of the kills")
     parser.add_argument("--work", type=Path, default=Path("outputs/training_study"), help="for what finetune renders")
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     options = parser.parse_args()

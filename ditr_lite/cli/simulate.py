@@ -54,11 +54,19 @@ def run(options: Namespace) -> None:
 
     home = Path("outputs/sensors") / options.sensor if options.sensor else Path("outputs/scenes")
     root = options.out or (SAMPLES if options.split is None else home)
+    check_folder(Path(root), _is_of_scenes, "scenes")
     for split, *_ in jobs:
         check_folder(Path(root) / split, partial(_is_scene, split), f"scenes of {split}")
     for split, count, first_seed, infrared in jobs:
         paths = simulate_many(root, split, count, first_seed, workers, infrared, options.sensor)
         print(f"{Path(root) / split}: {len(paths)} scenes, {paths[0].name} to {paths[-1].name}")
+
+
+def _is_of_scenes(path: Path) -> bool:
+    """Return whether something beside the splits' folders may be there: what lies in the folder of shipped scenes."""
+    if path.is_dir():
+        return path.name in (*SPLITS, "environments", "sensors", "peers")
+    return path.suffix in (".md", ".png")
 
 
 def _is_scene(split: str, path: Path) -> bool:

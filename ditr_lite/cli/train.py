@@ -7,8 +7,19 @@ by ``torchrun --nproc-per-node N -m ditr_lite train ...`` or ``accelerate launch
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from .evaluate import DATASETS
-from .shared import MAKE_TRAIN, MAKE_VAL, check_folder, check_scenes, command_line, has_scenes, real, seed, whole
+from .evaluate import DATASETS, check_results
+from .shared import (
+    MAKE_TRAIN,
+    MAKE_VAL,
+    MAX_SEED,
+    check_folder,
+    check_scenes,
+    command_line,
+    has_scenes,
+    real,
+    seed,
+    whole,
+)
 
 TRAIN = (Path("outputs/scenes/train"), Path("outputs/scenes/rooms_train"))  # those that are there
 VAL = ("val", "rooms_val")  # shipped splits, likewise
@@ -60,6 +71,13 @@ class Train:
         p.add_argument("--boundary", default="classical", help="backend of the boundary maps (%(default)s)")
         add_dataset(p)
         add_engine(p)
+        p.add_argument("--seeds", type=whole(1, 100), default=1, help="of a comparison: train each arm so often (1)")
+        p.add_argument("--json", type=Path, help="of a comparison: also write every frame's errors to this file")
+        p.add_argument(
+            "--every",
+            type=whole(),
+            help="steps between validations, each with a checkpoint (default: 500, in fine-tuning 20)",
+        )
         p.add_argument("--cost", action="store_true", help="only print what the training would cost")
         add_recipe(p, "steps instead of the recipe's")
 
@@ -73,11 +91,16 @@ class Train:
         if options.part not in ("all", *fitting.PARTS):
             raise ValueError(f"unknown part {options.part!r}; choose all or one of {', '.join(fitting.PARTS)}")
         settings = dict(_setting(text) for text in options.set)
+        tiny = options.preset == "tiny" and settings and options.part == "all" and not options.dataset
+        if tiny and options.start is None:
+            return experiment(options, settings)
+        if options.json or options.seeds > 1:
+            raise ValueError(
+                "--seeds and --json are of a comparison: give --preset tiny and --set KEY=VALUE, all parts"
+            )
         if options.start is not None:
             return fine_tune(options, settings)
         config = override(preset(options.preset), **settings)
-        if options.preset == "tiny" and settings and options.part == "all" and not options.dataset:
-            return experiment(options, settings)
         data, val = folders(options)
         real = real_frames(options)
         tag = "-".join([options.preset, *([fitting.folder_name(settings)] if settings else [])])
@@ -95,7 +118,7 @@ class Train:
             if options.cost:
                 continue
             how = {"limit": options.limit, "seed": options.seed, "boundary": options.boundary}
-            how |= {"command": command_line(options), "engine": engine_of(options), "real": real}
+            how |= {"command": command_line(options), "engine": engine_of(options), "real": real} | every_of(options)
             notes = fitting.train(part, config, data, val, out=out, work=work, recipe=recipe, **how)
             last = {k: v for k, v in (notes["curve"] or [{}])[-1].items() if "step" not in k and "second" not in k}
             figures = ", ".join(f"{k} {v:.4f}" for k, v in last.items())
@@ -159,7 +182,7 @@ def fine_tune(options: Namespace, settings: dict[str, str]) -> None:
             raise ValueError(f"cannot fine-tune {part!r}: choose all or one of {', '.join(has)}")
         recipe = replace(adapt.RECIPES[part], **changes(options))
         how = {"seed": options.seed, "boundary": options.boundary, "command": command_line(options)}
-        how["engine"] = engine_of(options)
+        how |= {"engine": engine_of(options)} | every_of(options)
         notes = adapt.adapt(part, config, pool, held_out, options.start, options.out, work, recipe, **how)
         if is_first():
             print(judgement(part, notes))
@@ -282,16 +305,28 @@ def experiment(options: Namespace, settings: dict[str, str]) -> None:
     """Train the tiny preset as it is and with settings changed, score both on the same frames, and compare them."""
     from dataclasses import replace
 
-    from ..studies.experiment import QUICK, compare_settings, format_comparison
+    from ..evaluation import results
+    from ..studies.experiment import QUICK, compare_over_seeds, format_comparison, format_seeds
 
+    check_results(options.json)
+    if options.seeds > 1 and options.out:
+        raise ValueError("--out is one weights folder, of one seed: leave out --seeds, or --out")
+    if options.seed + options.seeds - 1 > MAX_SEED:
+        raise ValueError(f"--seed {options.seed} leaves no {options.seeds} seeds: the largest is {MAX_SEED}")
+    if options.every is not None:
+        raise ValueError("--every is of a training that is resumed: a comparison of settings always runs to its end")
     for name in ("data", "val"):
         if len(getattr(options, name) or []) > 1:
             raise ValueError(f"a comparison takes one folder of scenes as --{name}, got {len(getattr(options, name))}")
     recipes = {part: replace(recipe, **changes(options)) for part, recipe in QUICK.items()}
-    how = {name: getattr(options, name) for name in ("out", "work", "limit", "seed", "boundary")}
+    how = {name: getattr(options, name) for name in ("out", "work", "limit", "boundary")}
     how |= {name: (getattr(options, name) or [None])[0] for name in ("data", "val")}
     how = {name: value for name, value in how.items() if value is not None}
-    print(format_comparison(compare_settings(settings, recipes=recipes, command=command_line(options), **how)))
+    seeds = range(options.seed, options.seed + options.seeds)
+    result = compare_over_seeds(settings, seeds, recipes=recipes, command=command_line(options), **how)
+    print(format_seeds(result) if len(seeds) > 1 else format_comparison(result["runs"][0]))
+    if options.json:
+        results.write(options.json, {"command": command_line(options), "versions": results.versions()}, result)
 
 
 def add_dataset(p: ArgumentParser) -> None:
@@ -336,6 +371,11 @@ def add_recipe(p: ArgumentParser, steps: str) -> None:
     p.add_argument("--lr", type=RATE, help="peak learning rate instead of the recipe's")
     p.add_argument("--limit", type=whole(), help="use only the first scenes")
     p.add_argument("--seed", type=seed, default=0, help="of everything random (%(default)s)")
+
+
+def every_of(options: Namespace) -> dict[str, int]:
+    """Return how often to validate and to write a checkpoint where the command line says so."""
+    return {} if options.every is None else {"every": options.every}
 
 
 def changes(options: Namespace) -> dict[str, float]:

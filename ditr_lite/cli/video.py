@@ -3,6 +3,9 @@
 Not in the paper, which completes single frames. Noise in a frame lets stage one's claim and the painted depth flicker
 although nothing moves. So each pixel keeps a running mean of stage one's probability and of what was painted, for as
 long as its neighbourhood looks the same; where colour or readings change by more than noise does, it begins anew.
+A claim is held until the mean has left the threshold by :data:`BAND`. The wider that band, the less comes and goes and
+the longer a claim stays behind what moves too slowly to be noticed, so :data:`STEP` is small. Noise is far smaller once
+a neighbourhood is averaged; a camera's exposure, which changes all colours by one factor, is taken out first.
 """
 
 from dataclasses import replace
@@ -15,9 +18,10 @@ from ..pipeline import Completion, Ditr, compose
 
 LONGEST = 30  # frames that a running mean reaches back
 AROUND = 9  # pixels of a neighbourhood that is compared, at 256 pixels of width
-STEP = 10.0  # grey levels of 255 by which a neighbourhood's mean may differ and still be the same
+STEP = 4.0  # grey levels of 255 by which a neighbourhood's mean may differ and still be the same
 DEPTH_STEP = 0.03  # share of the depth by which readings may differ, likewise
-BAND = 0.05  # of probability: a claim is made this much above the threshold, and dropped this much below
+BAND = 0.15  # of probability: a claim is made this much above the threshold, and dropped this much below
+GRID = 8  # every how many pixels a frame's brightness is compared
 
 
 class Steady:
@@ -70,7 +74,9 @@ class Steady:
             self.probability = self.claimed = self.region = self.painted = None
             return np.zeros(depth.shape, bool)
         before, read = self.seen
-        moved = np.abs(colour - before).max(axis=2) > STEP
+        before = before * _gain(before, colour)
+        step = STEP * max(1, AROUND / side)  # fewer pixels average their noise less
+        moved = np.abs(colour - before).max(axis=2) > step
         both = (depth > 0) & (read > 0)
         farther = (np.abs(depth - read) > DEPTH_STEP * depth) & both
         around = cv2.blur(both.astype(np.float32), (side, side))
@@ -99,6 +105,12 @@ class Steady:
         self.probability, self.claimed = now, claimed
         region = self.ditr.refine(claimed & frame.picture)
         return frame.back(now), frame.back(region)
+
+
+def _gain(before: np.ndarray, colour: np.ndarray) -> float:
+    """Return by which factor the exposure changed between two pictures, (H, W, 3) float32 grey levels: the median."""
+    before, colour = (c[::GRID, ::GRID].mean(axis=2) for c in (before, colour))
+    return float(np.median((colour + 1) / (before + 1)))
 
 
 def _mean(before: np.ndarray | None, now: np.ndarray, same: np.ndarray, count: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ A reader looks for file names when made, reads a frame when indexed, holds no op
 process, so ``torch.utils.data.DataLoader`` takes it as it is. Nothing is downloaded.
 """
 
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from ..data import Sample
 from ..files import read_array
+from ..units import looks_swapped
 
 
 class FrameFolder:
@@ -72,6 +74,12 @@ class FrameFolder:
             array = getattr(sample, key)
             if array is not None and array.shape != sample.rgb.shape[:2]:
                 raise ValueError(f"{name}: {key} is {array.shape}, the colour picture {sample.rgb.shape[:2]}")
+        known = sample.depth_gt is not None and sample.region is not None
+        if known and looks_swapped(sample.depth, sample.depth_gt, sample.region):
+            warnings.warn(
+                f"{self.root}: raw depth and truth look swapped: inside the region the truth shows a sensor's loss",
+                stacklevel=2,
+            )
         return sample
 
     def in_split(self, name: str) -> bool:

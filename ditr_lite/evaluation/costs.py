@@ -52,8 +52,7 @@ def costs(config: Config, sam: bool = False, windows: int = 1) -> list[Row]:
     """
     with torch.device("meta"):
         parts = build(config).eval()
-        one, rgb = torch.zeros(1, 1, *config.size), torch.zeros(1, 3, *config.size)
-        rows = [_row("one", "region", _parameters(parts["region"]), 1, parts["region"], rgb, one, one)]
+        rows = _stage_one(parts["region"], config)
         if sam:
             gflops = vit_flops() / 1e9
             rows.append({"stage": "two", "network": "SAM ViT-L", "parameters": SAM_VIT_L, "gflops": gflops, "calls": 2})
@@ -62,6 +61,17 @@ def costs(config: Config, sam: bool = False, windows: int = 1) -> list[Row]:
         rows += _stage_two(parts, config, config.size, ("geometric",), 1)
         close = _stage_two(parts, config, (config.window, config.window), ("optical",), windows, shared=False)
     return rows + [{**row, "network": f"{row['network']}, in windows"} for row in close]
+
+
+def _stage_one(net: nn.Module, config: Config) -> list[Row]:
+    """Count stage one on a frame that has the pixels for every look."""
+    rows = []
+    for scale in config.refine.looks:
+        size = tuple(round(scale * n) for n in config.size)
+        one, rgb = torch.zeros(1, 1, *size), torch.zeros(1, 3, *size)
+        name = "region" if scale == 1 else f"region, {scale:g} times as large"
+        rows.append(_row("one", name, (scale == 1) * _parameters(net), 1 + config.refine.mirrored, net, rgb, one, one))
+    return rows
 
 
 def _stage_two(

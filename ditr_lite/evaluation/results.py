@@ -78,6 +78,17 @@ def read(name: str, folder: Path | str = WEIGHTS) -> dict[str, Any]:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
+def provenance(report: Mapping[str, Any]) -> str:
+    """Return in words which weights results belong to, and the command that makes them again."""
+    if "weights_sha256" not in report:
+        said = "made with networks of its own"  # that were trained for this purpose alone
+    elif is_current(report):
+        said = "made with these weights"
+    else:
+        said = "MADE WITH OTHER WEIGHTS; read it as a record of those"
+    return f"{said}; again: {report['command']}"
+
+
 def is_current(report: Mapping[str, Any], weights: Path | str | None = None) -> bool:
     """Return whether results were made with these weights, by the checksums of the parts that they name."""
     there = {name: part["sha256"] for name, part in read_card(weights)["parts"].items()}

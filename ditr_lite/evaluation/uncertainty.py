@@ -4,8 +4,9 @@ RMSE asks only for the mean. These scores ask whether the stated error is the tr
 last. Not in the paper.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import erf, pi, sqrt
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar, nnls
@@ -198,3 +199,40 @@ def _pair(error: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if error.shape != std.shape or error.ndim != 1 or not error.size:
         raise ValueError(f"expected two arrays (N,) with N >= 1, got {error.shape} and {std.shape}")
     return error, std
+
+
+def coverage_columns(report: Mapping[str, Any]) -> dict[str, list[float] | list[str]]:
+    """Return the columns of a table: how many per cent of the errors lie within how many stated standard deviations.
+
+    Args:
+        report: the committed results called ``calibration``.
+    """
+    columns: dict[str, list] = {}
+    for place in report["calibrated"]:
+        for how in _stated(report, place):
+            times, due, seen = zip(*report[how][place]["reliability"], strict=True)
+            columns.setdefault("errors within", [f"{k:g} std" for k in times])
+            columns.setdefault("Gaussian, %", [100 * share for share in due])
+            columns[f"{place}, {how}"] = [100 * share for share in seen]
+    return columns
+
+
+def risk_curves(report: Mapping[str, Any]) -> dict[str, dict[str, tuple]]:
+    """Return kind of pixel -> name of a curve -> shares of the surest pixels, and their RMSE in metres.
+
+    Args:
+        report: the committed results called ``calibration``.
+    """
+    curves: dict[str, dict[str, tuple]] = {}
+    for place in report["calibrated"]:
+        curves[place] = {}
+        for how in _stated(report, place):
+            share, risk, best = zip(*report[how][place]["risk_coverage"], strict=True)
+            curves[place][how] = share, risk
+        curves[place]["oracle"] = share, best
+    return curves
+
+
+def _stated(report: Mapping[str, Any], place: str) -> list[str]:
+    """Return which statements there are of a kind of pixel; where readings are kept, samples do not differ."""
+    return ["calibrated"] if place == KEPT else ["spread alone", "calibrated"]

@@ -18,22 +18,13 @@ FOLLOW = 4.0  # w: how much a predicted gradient counts beside a reading
 LEAST = 0.01  # an edge never cuts a pixel off altogether
 
 
-def log_gradients(depth: np.ndarray) -> np.ndarray:
-    """Return (2, H, W): log depth of the next pixel to the right, then below, minus that of the pixel; 0 at the end.
-
-    Args:
-        depth: (H, W) metres, positive.
-    """
-    log = np.log(depth)
-    return np.stack([np.diff(log, axis=1, append=log[:, -1:]), np.diff(log, axis=0, append=log[-1:])])
-
-
 def solve(readings: np.ndarray, gradients: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Return dense depth that agrees with readings and gradients.
 
     Args:
         readings: (H, W) metres, 0 = none.
-        gradients: (2, H, W) as :func:`log_gradients` gives them, of a pixel at full size.
+        gradients: (2, H, W) of log depth at full size: that of the next pixel to the right, then below, minus that of
+            the pixel.
         edges: (H, W) in [0, 1], how probable an occlusion boundary is: gradients count less there.
 
     Returns:

@@ -14,12 +14,13 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from ..config import Config, override, preset, to_dict
 from ..data import SAMPLES, read_sample
 from ..evaluation.scoring import DITR, run_methods
-from ..evaluation.statistics import format_interval, interval, mean_known, paired_bootstrap
+from ..evaluation.statistics import compare_seeds, format_interval, interval, mean_known, paired_bootstrap, seed_verdict
 from ..pipeline import Ditr, build
 from ..store import CARD, load_part, read_card, save_part
 from ..training.loop import Recipe
@@ -142,6 +143,66 @@ def compare_settings(
     }
 
 
+def compare_over_seeds(
+    settings: Mapping[str, Any],
+    seeds: Sequence[int] = (0, 1),
+    folder: Path | str = "outputs/weights",
+    work: Path | str | None = None,
+    **how: Any,
+) -> dict[str, Any]:
+    """Run :func:`compare_settings` once per seed: what another training would change is no effect of a setting.
+
+    Args:
+        settings: as for :func:`compare_settings`.
+        seeds: of everything random, each of both arms.
+        folder: as there for the first seed; the others' arms go to ``seed_N`` in it.
+        work: likewise.
+        how: the other arguments of :func:`compare_settings`; ``out`` only with one seed.
+
+    Returns:
+        ``seeds``; ``runs``, a result of :func:`compare_settings` per seed; ``difference``: "optical" and "geometric" ->
+        None without a common frame, or, in metres, changed minus default: ``mean``, ``low`` and ``high`` (95 % over
+        frames) of the mean over seeds, ``by_seed``, ``spread`` (their standard deviation, None of one seed),
+        ``seeds_apart`` and ``clear`` as :class:`evaluation.statistics.SeedComparison` has them.
+
+    Raises:
+        ValueError: without seeds, for ``out`` with several, and as :func:`compare_settings` does.
+    """
+    if not seeds or (len(seeds) > 1 and how.get("out") is not None):
+        raise ValueError(f"expected at least one seed, and exactly one where out is given; got {list(seeds)}")
+    runs = []
+    for seed in seeds:
+        homes = {"folder": folder, "work": work}
+        if seed != seeds[0]:
+            homes = {name: home and Path(home) / f"seed_{seed}" for name, home in homes.items()}
+        runs.append(compare_settings(settings, seed=seed, **homes, **how))
+    return {"seeds": list(seeds), "runs": runs, "difference": {key: _over_seeds(runs, key) for key in SCORED}}
+
+
+def _over_seeds(runs: Sequence[Mapping[str, Any]], key: str) -> dict[str, Any] | None:
+    """Return an entry of ``difference`` of :func:`compare_over_seeds`."""
+    default, changed = (frames_by_seed(runs, arm, key) for arm in ("default", "changed"))
+    if not default.size:
+        return None
+    found = compare_seeds(changed, default)
+    by_seed = (changed - default).mean(axis=1)
+    return {
+        "mean": found.mean,
+        "low": found.low,
+        "high": found.high,
+        "by_seed": by_seed.tolist(),
+        "spread": float(by_seed.std(ddof=1)) if len(runs) > 1 else None,
+        "seeds_apart": found.seeds,
+        "clear": found.clear,
+    }
+
+
+def frames_by_seed(runs: Sequence[Mapping[str, Any]], arm: str, key: str) -> np.ndarray:
+    """Return an arm's RMSE (seeds, frames) in metres, without the frames that hold no such pixel."""
+    seen = np.array([run["rmse_m"][arm][key] for run in runs], dtype=np.float64)  # None becomes NaN, for every seed
+    return seen[:, ~np.isnan(seen).any(axis=0)]
+
+
 def some_scenes(homes: Sequence[Path], limit: int | None = None) -> list[Scenes]:
     """Read the scenes of several folders, the first ``limit`` of all of them together."""
     groups = []
@@ -227,6 +288,29 @@ def format_comparison(result: Mapping[str, Any]) -> str:
     cells = [format_interval(result["difference"][key], 1000) for key in SCORED]
     lines.append("difference".ljust(width) + "".join(cell.rjust(26) for cell in cells))
     lines.append("[95 % interval], paired over frames. Training has its own chance: see whether another seed agrees.")
+    return "\n".join(lines)
+
+
+def format_seeds(result: Mapping[str, Any]) -> str:
+    """Return :func:`compare_over_seeds`'s result as text: a line per seed, and a verdict per kind of loss."""
+    first = result["runs"][0]
+    changed = ", ".join(f"{key}={value}" for key, value in first["settings"].items())
+    lines = [f"{first['scenes']} scenes to train on; trained again: {', '.join(first['trained']) or 'nothing'}"]
+    lines += [f"{first['frames']} frames, region {first['region']}; RMSE mm, tiny as it is -> {changed}"]
+    lines += ["".ljust(12) + "".join(key.rjust(20) for key in SCORED)]
+    for run in result["runs"]:
+        cells = [f"seed {run['seed']}".ljust(12)]
+        for key in SCORED:
+            means = [mean_known(run["rmse_m"][arm][key]) for arm in ("default", "changed")]
+            cells.append(("-" if None in means else "{:.1f} -> {:.1f}".format(*(1000 * m for m in means))).rjust(20))
+        lines.append("".join(cells))
+    for key in SCORED:
+        if result["difference"][key] is None:
+            lines.append(f"{key}: no frame holds such pixels")
+            continue
+        arms = [frames_by_seed(result["runs"], arm, key) for arm in ("changed", "default")]
+        lines.append(seed_verdict(f"{key}, {changed}", *arms, "tiny as it is"))
+    lines.append("[95 % interval] over frames, paired; clear: it excludes 0, and the seeds of an arm differ by less.")
     return "\n".join(lines)
 
 

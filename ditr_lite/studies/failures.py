@@ -99,11 +99,13 @@ def correlations(
 
 
 def format_ranges(described: Mapping[str, Description]) -> str:
-    """Return, a line for each figure of :data:`DESCRIBED`, what it says and its range over the frames that have it."""
+    """Return a line for each figure of :data:`DESCRIBED`: name, what it says, range over the frames that have it."""
     lines = []
     for key, says in DESCRIBED.items():
         values = [d[key] for d in described.values() if d[key] is not None]
-        lines.append(f"  {says:55} " + (f"{min(values):6.3f} to {max(values):6.3f}" if values else "not measured"))
+        lines.append(
+            f"{key:14} {says:57} " + (f"{min(values):6.3f} to {max(values):6.3f}" if values else "not measured")
+        )
     return "\n".join(lines)
 
 
@@ -119,3 +121,12 @@ def correlation_verdict(key: str, rho: tuple[float, float, float] | None) -> str
         return f"{key}: cannot be told from these frames"
     said = "errors grow with it" if rho[1] > 0 else "errors shrink with it" if rho[2] < 0 else "no measurable relation"
     return "{}: {} (rank correlation {:+.2f} [{:+.2f}, {:+.2f}])".format(key, said, *rho)
+
+
+def format_verdicts(rho: Mapping[str, tuple[float, float, float] | None]) -> str:
+    """Return :func:`correlation_verdict` of every figure, and whether the paper's two cases are confirmed."""
+    lines = [correlation_verdict(key, found) for key, found in rho.items()]
+    for key in PAPER:
+        confirmed = rho[key] is not None and rho[key][1] > 0
+        lines.append(f"the paper's case '{key}': {'confirmed' if confirmed else 'not confirmed'} on these scenes")
+    return "\n".join(lines)

@@ -141,13 +141,38 @@ def ratio_verdict(report: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def format_training(study: Mapping[str, Any], shipped: tuple[int, int]) -> str:
+    """Return how long each arm was trained, in minutes of processor time, and how this differs from the shipped system.
+
+    Args:
+        study: what :func:`load_results` returns.
+        shipped: working size (height, width) of the shipped system.
+    """
+    minutes: dict[str, dict[int, float]] = {}
+    detail = 0.0
+    for name, part in study["trained"].items():
+        of_seed = minutes.setdefault(part["arm"], {})
+        of_seed[part["seed"]] = of_seed.get(part["seed"], 0.0) + part["cpu_seconds"] / 60
+        if name.startswith("ditr_detail") and part["seed"] == 0:
+            detail = part["cpu_seconds"] / 60
+    spent = [m for seeds in minutes.values() for m in seeds.values()]
+    twice = [arm for arm, seeds in minutes.items() if len(seeds) > 1]
+    size = "{1} x {0}".format(*study["settings"]["size"])
+    lines = [f"{len(minutes)} arms, {min(spent):.1f} to {max(spent):.1f} minutes of processor time for each training"]
+    lines.append(f"trained twice, with two seeds: {', '.join(twice) or 'none'}")
+    if detail:
+        lines.append(f"the detail network took {detail / minutes['ditr'][0]:.0%} of the time of 'ditr, equal time'")
+    lines.append(f"working size {size} pixels; the shipped system works at {shipped[1]} x {shipped[0]}")
+    return "\n".join(lines)
+
+
 def format_peers(report: Mapping[str, Any]) -> str:
     """Return the table of a split: RMSE in mm of DITR, peers and baselines, and DITR at equal time over each.
 
     ``+RR`` is the paper's DITR, which has no finer final step, so that its two branches train longer.
     """
     mean, ratio = report["mean"], report["ratio"]
-    lines = ["RMSE mm, mean over frames".ljust(36) + "".join(k.rjust(11) for k in SETS) + "   optical, DITR : it"]
+    lines = ["RMSE mm, mean over frames".ljust(36) + "".join(k.rjust(11) for k in SETS) + "   optical, DITR over it"]
     for name in (SHIPPED, *with_seeds(mean, EQUAL, "+RR", *IDEAS), *REGISTRY):
         if name in mean:
             over = format_interval(ratio[name]["optical"], 1, ".2f")

@@ -85,6 +85,29 @@ def draw_scores(members: np.ndarray, sample: Sample) -> dict[str, float | None]:
     }
 
 
+def format_draws(scores: Mapping[int, Sequence[Mapping[str, float | None]]], seconds: Mapping[int, float]) -> str:
+    """Return a table of :data:`SCORES`, a column for each number of steps, and which number is best by each score.
+
+    Args:
+        scores: steps -> what :func:`draw_scores` returned, frame by frame.
+        seconds: steps -> seconds a frame.
+    """
+    lines = [" " * 45 + "".join(f"{n:6} step{'s' if n > 1 else ' '}" for n in scores) + "  best"]
+    lines.append(f"{'seconds a frame':45}" + "".join(f"{seconds[n]:12.2f}" for n in scores))
+    for key, (says, less) in SCORES.items():
+        means = {n: _mean([row[key] for row in rows]) for n, rows in scores.items()}
+        known = {n: mean for n, mean in means.items() if mean is not None}
+        best = (min if less else max)(known, key=known.get) if known else "-"
+        cells = "".join(f"{mean:12.1f}" if mean is not None else f"{'-':>12}" for mean in means.values())
+        lines.append(f"{says:45}{cells}{best:>6}")
+    return "\n".join(lines)
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    there = [value for value in values if value is not None]
+    return float(np.mean(there)) if there else None
+
+
 def score_members(members: Sequence[np.ndarray], sample: Sample) -> dict[str, Any]:
     """Score an ensemble of one frame's completions.
 

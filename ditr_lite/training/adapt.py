@@ -88,6 +88,7 @@ def adapt(
     boundary: str = "classical",
     command: str | None = None,
     engine: Engine = ENGINE,
+    every: int = EVERY,
 ) -> dict[str, Any]:
     """Fine-tune one part and write the better of the weights before and after.
 
@@ -104,6 +105,7 @@ def adapt(
         boundary: backend of the guides.
         command: that asked for it, for the card.
         engine: on what and how it runs.
+        every: steps between validations, each with a checkpoint.
 
     Returns:
         the entry of the card. ``judged`` holds "before" and "after", the errors of the judging frames (None where a
@@ -137,7 +139,7 @@ def adapt(
         recipe,
         work,
         lambda: {WATCHED: float(np.nanmean(errors(chooses)))},
-        every=min(EVERY, recipe.steps),
+        every=min(every, recipe.steps),
         seed=seed,
         key=key,
         engine=engine,

@@ -14,7 +14,6 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from ..files import written_whole
@@ -88,7 +87,7 @@ def read_checkpoint(path: Path, run: str, steps: int) -> tuple[dict[str, Tensor]
     try:
         with safe_open(str(path), "pt") as file:
             about = file.metadata() or {}
-        tensors = load_file(str(path))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # of this file, even if it is replaced now
     except (SafetensorError, OSError, UnicodeDecodeError) as error:
         raise _damaged(path, error) from None
     checksum = about.pop("sha256", None)

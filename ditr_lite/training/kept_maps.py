@@ -5,6 +5,7 @@ anew, so neither its maps nor its latents are ever asked for twice; the classica
 """
 
 import hashlib
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from ..boundary import Backend
 from ..files import written_whole
 
+CRC = 4  # bytes in front of a map
 FOLDER = Path("outputs/cache/maps")
 SLOW = ("learned", "sam")  # backends whose maps are worth keeping
 
@@ -21,7 +23,7 @@ class KeptMaps:
 
     Args:
         backend: asked where a map is not known; its ``fingerprint`` says on what its maps depend.
-        folder: for the maps, a bit a pixel.
+        folder: for the maps, a bit a pixel, each with a checksum: a damaged one is found anew.
     """
 
     def __init__(self, backend: Backend, folder: Path | str = FOLDER):
@@ -39,13 +41,22 @@ class KeptMaps:
         digest = hashlib.sha256(f"{self.about} {image.dtype} {image.shape}".encode())
         digest.update(image.view(np.uint8))
         name = digest.hexdigest()[:32]
-        path = self.folder / name[:2] / f"{name}.npy"
-        pixels = image.shape[0] * image.shape[1]
-        if path.is_file():
-            bits = np.load(path)
-            if bits.dtype == np.uint8 and bits.size == -(-pixels // 8):
-                return np.unpackbits(bits, count=pixels).astype(bool).reshape(image.shape[:2])
-        found = self.backend(image)
-        with written_whole(path) as part:
-            np.save(part, np.packbits(found))
+        path = self.folder / name[:2] / f"{name}.bits"
+        found = _read(path, image.shape[:2])
+        if found is None:
+            found = self.backend(image)
+            bits = np.packbits(found).tobytes()
+            with written_whole(path) as part:
+                part.write_bytes(zlib.crc32(bits).to_bytes(CRC) + bits)
         return found
+
+
+def _read(path: Path, shape: tuple[int, int]) -> np.ndarray | None:
+    """Return the map of a file, None where there is none or it is damaged."""
+    if not path.is_file():
+        return None
+    stored = path.read_bytes()
+    bits, pixels = stored[CRC:], shape[0] * shape[1]
+    if len(bits) != -(-pixels // 8) or stored[:CRC] != zlib.crc32(bits).to_bytes(CRC):
+        return None
+    return np.unpackbits(np.frombuffer(bits, np.uint8), count=pixels).astype(bool).reshape(shape)

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 OPTIMISERS = {"adam": torch.optim.AdamW, "sgd": torch.optim.SGD}
 PRECISIONS = ("auto", "no", "bf16")
 ADDED = ("optimiser", "momentum", "clip", "ramp", "patience", "law", "epoch")  # to recipes, since checkpoints exist
+EVERY = 500  # steps between validations, each with a checkpoint
 FALL = math.log(10)  # our exponential factor of the paper's rate ends at a tenth
 Losses = dict[str, Tensor]
 
@@ -271,7 +272,7 @@ def fit(
     recipe: Recipe,
     folder: Path | str | None,
     validate: Callable[[], dict[str, float]] | None = None,
-    every: int = 500,
+    every: int = EVERY,
     seed: int = 0,
     progress: bool = True,
     key: str = "",

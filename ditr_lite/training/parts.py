@@ -22,7 +22,7 @@ from ..store import CARD, WEIGHTS, copy_part, copy_weights, load_part, read_card
 from . import recipes
 from .batches import Batch, frames_in_order, windows_in_order
 from .kept_maps import SLOW, KeptMaps
-from .loop import ENGINE, Engine, Recipe, Step, fit, is_first, wait_for_all
+from .loop import ENGINE, EVERY, Engine, Recipe, Step, fit, is_first, wait_for_all
 from .readers import RealFrames
 from .scenes import Pool, Scenes, checksum, load_scenes
 
@@ -61,6 +61,7 @@ def train(
     command: str | None = None,
     engine: Engine = ENGINE,
     real: RealFrames | None = None,
+    every: int = EVERY,
 ) -> dict[str, Any]:
     """Train ``part`` and write its weights and its entry in the card.
 
@@ -80,6 +81,7 @@ def train(
         command: that asked for it, for the card.
         engine: on what and how it runs.
         real: frames of a dataset to train on, besides the rendered scenes or in their place.
+        every: steps between validations, each with a checkpoint.
 
     Returns:
         the entry of the card: command, recipe, scenes, seconds, curve.
@@ -99,7 +101,8 @@ def train(
     if real is not None:
         held_out |= real.held_out(part, config)
         remarks = {"dataset": real.name, "scene_share": real.scene_share, "zero_region": real.zero_region}
-    return train_on(part, config, pool, held_out, out, work, recipe, seed, start, command, boundary, engine, **remarks)
+    how = (recipe, seed, start, command, boundary, engine, every)
+    return train_on(part, config, pool, held_out, out, work, *how, **remarks)
 
 
 def train_on(
@@ -115,6 +118,7 @@ def train_on(
     command: str | None = None,
     boundary: str = "classical",
     engine: Engine = ENGINE,
+    every: int = EVERY,
     **remarks: Any,
 ) -> dict[str, Any]:
     """Do what :func:`train` does with scenes that are in memory already.
@@ -132,6 +136,7 @@ def train_on(
         command: that asked for it, for the card.
         boundary: backend of the guides.
         engine: on what and how it runs; of several processes the first alone writes files.
+        every: steps between validations, each with a checkpoint.
         remarks: what else to enter into the card; a checkpoint made with other remarks is not taken.
 
     Raises:
@@ -155,7 +160,7 @@ def train_on(
     step, validate = assemble(part, parts, pool, held_out, config, recipe, boundary, seed)
     below = [read_card(out)["parts"][name]["sha256"] for name in needs(part, config)]
     key = json.dumps([to_dict(config), checksum(*pool.groups), below, boundary, remarks], sort_keys=True)
-    notes = fit(part, model, step, recipe, work, validate, seed=seed, key=key, engine=engine)
+    notes = fit(part, model, step, recipe, work, validate, every, seed, key=key, engine=engine)
     if part == "autoencoder":
         model.eval()
         model.calibrate(some_latents(model, pool, config))

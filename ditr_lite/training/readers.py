@@ -7,11 +7,13 @@ see them anyway).
 
 Frames are decoded once and kept as memory-mapped arrays, at most twice the working size, so that a hundred thousand of
 them need no memory and any number of workers share them. The kept arrays are known by the dataset's frames, the sizes
-and times of their files, and the settings: when one changes they are made again.
+and times of their files, and the settings: when one changes they are made again. Every row of them has a checksum, so
+that what a disk spoils is not learnt.
 """
 
 import hashlib
 import json
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +32,7 @@ from .loop import is_first, wait_for_all
 from .scenes import MAPS, Pool, Scenes
 
 CACHE = Path("outputs/cache")
+DESCRIPTION = "frames.json"
 FARTHEST_MM = 65_535  # of 16 bits; what is farther counts as not read
 TEACH = ("region", "truth", "optical", "geometric")  # what a frame may have, one column each
 WANTED = {"region": "region", "autoencoder": "truth", "optical": "optical", "geometric": "geometric", "detail": "truth"}
@@ -115,19 +118,34 @@ def _needed(part: str) -> str:
 
 @dataclass(frozen=True)
 class Kept:
-    """Decoded frames of one size: arrays (N, H, W, ...) on disk, and what each frame can teach, (N, 4) bool."""
+    """Decoded frames of one size.
+
+    Attributes:
+        names: of the frames.
+        arrays: map -> (N, H, W, ...) on disk.
+        checksums: map -> CRC-32 of each row, (N,).
+        teach: what each frame can teach, (N, 4) bool.
+        key: that stands for their content.
+    """
 
     names: list[str]
-    arrays: dict[str, np.ndarray]
+    arrays: dict[str, np.memmap]
+    checksums: dict[str, np.ndarray]
     teach: np.ndarray
     key: str
 
 
 class Rows:
-    """Some rows of an array that is not in memory."""
+    """Some rows of an array that is not in memory, each checked when it is read.
 
-    def __init__(self, array: np.ndarray, index: np.ndarray):
-        self.array, self.index = array, index
+    Args:
+        array: all rows, on disk.
+        checksums: of all rows.
+        index: which rows.
+    """
+
+    def __init__(self, array: np.memmap, checksums: np.ndarray, index: np.ndarray):
+        self.array, self.checksums, self.index = array, checksums, index
         self.shape, self.dtype = (len(index), *array.shape[1:]), array.dtype
 
     def __len__(self) -> int:
@@ -135,15 +153,24 @@ class Rows:
         return len(self.index)
 
     def __getitem__(self, i: int | slice) -> Any:
-        """Return one row, or the rows of a slice as :class:`Rows`."""
+        """Return one row, or the rows of a slice as :class:`Rows`.
+
+        Raises:
+            ValueError: for a row that is not as it was written.
+        """
         if isinstance(i, slice):
-            return Rows(self.array, self.index[i])
-        return np.asarray(self.array[self.index[i]])
+            return Rows(self.array, self.checksums, self.index[i])
+        place = self.index[i]
+        row = np.asarray(self.array[place])
+        if zlib.crc32(row) != self.checksums[place]:
+            folder = Path(self.array.filename).parent
+            raise ValueError(f"a decoded frame in {folder} is damaged: delete that folder, it is then made again")
+        return row
 
 
 def _rows_for(part: str, group: Kept) -> Scenes:
     index = np.flatnonzero(group.teach[:, TEACH.index(WANTED[part])])
-    rows = {name: Rows(group.arrays[name], index) for name in MAPS}
+    rows = {name: Rows(group.arrays[name], group.checksums[name], index) for name in MAPS}
     return Scenes([group.names[i] for i in index], **rows, key=f"{group.key} {part}")
 
 
@@ -154,22 +181,53 @@ def kept(reader: FrameFolder, how: RealFrames, size: tuple[int, int]) -> list[Ke
         reader: of a split.
         how: name, limit and whether readings inside the region are zeroed.
         size: (H, W) of the system.
+
+    Raises:
+        ValueError: in a process that does not see what the first one put there.
     """
     names = reader.names[: how.limit]
     stats = [_stat(reader, name) for name in names]
     plain = json.dumps([how.name, names, stats, how.zero_region, size])
     key = hashlib.sha256(plain.encode()).hexdigest()[:16]
     folder = Path(how.cache) / f"{how.name}-{key}"
-    if not (folder / "frames.json").is_file() and is_first():
+    if is_first() and _described(folder) is None:
         _decode(reader, names, how, size, folder)
     wait_for_all()
+    described = _described(folder)
+    if described is None:
+        raise ValueError(f"the decoded frames in {folder} are not seen by every process: give all the same folder")
     groups = []
-    for k, group in enumerate(json.loads((folder / "frames.json").read_text())):
-        arrays = {name: np.load(folder / f"{k}_{name}.npy", mmap_mode="r") for name in MAPS}
-        groups.append(
-            Kept(group["names"], arrays, np.array(group["teach"], bool).reshape(-1, len(TEACH)), f"{key} {k}")
-        )
+    for k, group in enumerate(described):
+        shape = (len(group["names"]), *group["size"])
+        arrays = {name: _map_file(folder, k, name, shape, "r") for name in MAPS}
+        checksums = {name: np.array(group["checksums"][name], np.uint32) for name in MAPS}
+        teach = np.array(group["teach"], bool).reshape(-1, len(TEACH))
+        groups.append(Kept(group["names"], arrays, checksums, teach, f"{key} {k}"))
     return groups
+
+
+def _described(folder: Path) -> list[dict[str, Any]] | None:
+    """Return what a folder says of its groups, None where it is damaged or not there.
+
+    That its files have their sizes is looked at here, what is in them when it is read.
+    """
+    try:
+        described = json.loads((folder / DESCRIPTION).read_bytes())
+        groups = described["groups"]
+        if described["sha256"] != _digest(groups):
+            return None
+        for k, group in enumerate(groups):
+            for name in MAPS:
+                shape, kind = _stored((len(group["names"]), *group["size"]), name)
+                if (folder / f"{k}_{name}.bin").stat().st_size != int(np.prod(shape)) * np.dtype(kind).itemsize:
+                    return None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return groups
+
+
+def _digest(groups: list[dict[str, Any]]) -> str:
+    return hashlib.sha256(json.dumps(groups).encode()).hexdigest()
 
 
 def _stat(reader: FrameFolder, name: str) -> list[int]:
@@ -184,26 +242,39 @@ def _decode(reader: FrameFolder, names: list[str], how: RealFrames, size: tuple[
     by_shape: dict[tuple[int, int], list[str]] = {}
     for name in tqdm(names, "sizes", unit="frame", leave=False):
         by_shape.setdefault(reader[name].depth.shape, []).append(name)
-    described = []
     with folder_written_whole(folder) as part:
+        described = []
         for k, (shape, group) in enumerate(by_shape.items()):
-            small = stored_size(shape, size)
-            arrays = {name: _new(part / f"{k}_{name}.npy", name, (len(group), *small)) for name in MAPS}
-            teach = []
-            for i, name in enumerate(tqdm(group, "decoding", unit="frame")):
-                maps, row = _maps(reader[name], small, how.zero_region)
-                teach.append(row)
-                for key, values in maps.items():
-                    arrays[key][i] = values
-            for array in arrays.values():
-                array.flush()
-            described.append({"names": group, "teach": teach})
-        (part / "frames.json").write_text(json.dumps(described))
+            described.append(_write_group(reader, group, part, k, stored_size(shape, size), how.zero_region))
+        (part / DESCRIPTION).write_text(json.dumps({"sha256": _digest(described), "groups": described}))
 
 
-def _new(path: Path, name: str, shape: tuple[int, ...]) -> np.memmap:
-    kind = np.uint16 if name.startswith("depth") else np.uint8
-    return np.lib.format.open_memmap(path, "w+", kind, (*shape, 3) if name == "rgb" else shape)
+def _write_group(
+    reader: FrameFolder, names: list[str], folder: Path, k: int, size: tuple[int, int], zero_region: bool
+) -> dict[str, Any]:
+    """Write the maps of group ``k``, frames of one size, and return what is said of it; its files are closed then."""
+    arrays = {name: _map_file(folder, k, name, (len(names), *size), "w+") for name in MAPS}
+    teach, checksums = [], {name: [] for name in MAPS}
+    for i, name in enumerate(tqdm(names, "decoding", unit="frame")):
+        maps, row = _maps(reader[name], size, zero_region)
+        teach.append(row)
+        for key, values in maps.items():
+            arrays[key][i] = values
+            checksums[key].append(zlib.crc32(arrays[key][i]))
+    for array in arrays.values():
+        array.flush()
+    return {"names": names, "size": size, "teach": teach, "checksums": checksums}
+
+
+def _map_file(folder: Path, k: int, name: str, shape: tuple[int, int, int], mode: str) -> np.memmap:
+    """Return a map of group ``k``, (N, H, W) or, of colours, (N, H, W, 3), as a file that is an array."""
+    shape, kind = _stored(shape, name)
+    return np.memmap(folder / f"{k}_{name}.bin", kind, mode, shape=shape)
+
+
+def _stored(shape: tuple[int, int, int], name: str) -> tuple[tuple[int, ...], type]:
+    """Return shape and type of a map as it is kept."""
+    return (*shape, 3) if name == "rgb" else shape, np.uint16 if name.startswith("depth") else np.uint8
 
 
 def stored_size(shape: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:

@@ -18,7 +18,7 @@ __all__ = ["NOTEBOOKS", "autoencoder", "stage_one", "system", "unet"]
 
 WIDTH = 800  # pixels of a drawing
 LETTER = 13.1 * 72 / DPI  # points: 13 pixels, and 12 in the book, whose column is 736 pixels wide
-DATA, WORK, LIT, FAINT = "#FFFFFF", "#DCEBF5", "#FBD98C", "#BDBDBD"  # data, what computes, highlighted, left out
+DATA, WORK, LIT = "#FFFFFF", "#DCEBF5", "#FBD98C"  # data, what computes, highlighted
 INK, LINE = "#000000", "#4D4D4D"
 BLUE, ORANGE = OKABE_ITO[4], OKABE_ITO[5]
 

@@ -50,6 +50,7 @@ def grid(
     region: np.ndarray | Mapping[str, np.ndarray] | None = None,
     limits: tuple[float, float] | None = None,
     error_mm: float | None = None,
+    where: np.ndarray | None = None,
 ) -> Picture:
     """Draw rows of panels with one set of limits and one colour bar per kind.
 
@@ -59,6 +60,7 @@ def grid(
         region: outlined on the rgb panels; a mapping names several.
         limits: depth limits in metres, instead of those of ``depth_gt`` (or of the depth panels, without it).
         error_mm: upper end of the error bars, instead of the 98th percentile over all error panels.
+        where: (H, W) bool, the pixels that error panels judge; others are grey there.
     """
     rows = [[panel and Panel(*panel) for panel in row_] for row_ in rows]
     panels = [panel for row_ in rows for panel in row_ if panel]
@@ -68,7 +70,8 @@ def grid(
         raise ValueError("error panels need depth_gt, what the error is taken against")
     limits = limits or depth_limits(*([depth_gt] if depth_gt is not None else depths or [np.zeros((1, 1))]))
     if errors and error_mm is None:
-        values = np.concatenate([np.abs(d[v]) for d, v in (difference_mm(e, depth_gt) for e in errors)])
+        judged = True if where is None else where
+        values = np.concatenate([np.abs(d[v & judged]) for d, v in (difference_mm(e, depth_gt) for e in errors)])
         error_mm = max(float(np.percentile(values, 98)), 1.0) if values.size else ERROR_MM
     columns = max(map(len, rows))
     width = min(WIDTH_IN, 3.2 * columns)
@@ -80,8 +83,8 @@ def grid(
     draw = {
         "rgb": lambda ax, p: rgb(ax, p.array, region, p.title),
         "depth": lambda ax, p: depth(ax, p.array, limits, p.title, bar=False),
-        "error": lambda ax, p: error(ax, p.array, depth_gt, error_mm, p.title, bar=False),
-        "signed": lambda ax, p: signed_error(ax, p.array, depth_gt, error_mm, p.title, bar=False),
+        "error": lambda ax, p: error(ax, p.array, depth_gt, error_mm, p.title, bar=False, where=where),
+        "signed": lambda ax, p: signed_error(ax, p.array, depth_gt, error_mm, p.title, bar=False, where=where),
         "spread": lambda ax, p: spread(ax, p.array, None, p.title, bar=False),
     }
     for places, row_ in zip(axes, rows, strict=True):
@@ -95,11 +98,11 @@ def grid(
             image = draw[panel.kind](ax, panel)
             if panel.kind in BARS:
                 drawn.setdefault(panel.kind, (image, []))[1].append(ax)
-        for kind, (image, where) in drawn.items():
+        for kind, (image, places_of) in drawn.items():
             empty = (
                 len(drawn) == 1 and not places[-1].axison
             )  # the bar takes the empty last place, columns stay aligned
-            add_bar(figure, image, places[-1] if empty else where[-1], kind, inside=empty)
+            add_bar(figure, image, places[-1] if empty else places_of[-1], kind, inside=empty)
     return figure
 
 

@@ -160,18 +160,24 @@ def error(
     title: str = "",
     bar: bool = True,
     signed: bool = False,
+    where: np.ndarray | None = None,
 ) -> AxesImage:
     """Draw |depth - ground truth| in millimetres where both are known, 0 to ``limit_mm``; the title has the mean.
 
-    ``signed`` keeps the sign and leaves the title alone: red is too far, blue too near.
+    ``signed`` keeps the sign and leaves the title alone: red is too far, blue too near. ``where``, (H, W) bool, names
+    the pixels that are judged; all others are grey and not counted.
     """
     difference, valid = difference_mm(depth_m, depth_gt)
-    limit = limit_mm or ERROR_MM
+    if where is not None and (where.shape != valid.shape or where.dtype != bool):
+        raise ValueError(f"where should be {valid.shape} bool, got {where.shape} {where.dtype}")
+    judged = np.ones_like(valid) if where is None else where
+    shown, limit = valid & judged, limit_mm or ERROR_MM
+    absent = int((judged & ~valid).sum())
     if signed:
-        return _map(ax, "signed", difference, valid, (-limit, limit), title, "unknown", bar)
-    mean = f"mean {np.abs(difference[valid]).mean():.1f} mm" if valid.any() else ""
+        return _map(ax, "signed", difference, shown, (-limit, limit), title, "unknown", bar, absent)
+    mean = f"mean {np.abs(difference[shown]).mean():.1f} mm" if shown.any() else ""
     title = "\n".join(filter(None, (title, mean)))
-    return _map(ax, "error", np.abs(difference), valid, (0, limit), title, "unknown", bar)
+    return _map(ax, "error", np.abs(difference), shown, (0, limit), title, "unknown", bar, absent)
 
 
 signed_error = partial(error, signed=True)
@@ -303,11 +309,11 @@ def point_cloud_side(
     return len(points[::step])
 
 
-def _map(ax, kind, values, valid, limits, title, absent, bar) -> AxesImage:
-    """Draw ``values`` where ``valid``, grey elsewhere, the number of grey pixels in the title."""
+def _map(ax, kind, values, valid, limits, title, absent, bar, count=None) -> AxesImage:
+    """Draw ``values`` where ``valid``, grey elsewhere, the number of grey pixels, or ``count``, in the title."""
     shown = np.ma.masked_array(values, ~valid)
     drawn = ax.imshow(shown, cmap=colours_of(kind), vmin=limits[0], vmax=limits[1], interpolation="nearest")
-    n = int(valid.size - valid.sum())
+    n = int(valid.size - valid.sum()) if count is None else count
     _bare(ax, f"{title}\n{n:,} px {absent}".strip() if n else title)
     if bar:
         add_bar(ax.figure, drawn, ax, kind)

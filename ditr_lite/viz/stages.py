@@ -80,21 +80,31 @@ def draw_latents(rows: Mapping[str, Tensor], limit: float) -> Picture:
     return figure
 
 
-def draw_steps(steps: Mapping[int, tuple[Tensor, np.ndarray, str]], limit: float, truth: np.ndarray) -> Picture:
-    """Draw noisy latents after a step above the depth that was predicted in it, one column for each step.
+def draw_steps(
+    steps: Mapping[int, tuple[Tensor, np.ndarray, str]], limit: float, truth: np.ndarray, where: np.ndarray
+) -> Picture:
+    """Draw noisy latents after a step, the depth that was predicted in it, and its error, one column for each step.
 
     Args:
-        steps: number of the step -> a plane of noisy latents (h, w), the decoded prediction in metres, and its title.
+        steps: number of the step -> a plane of noisy latents (h, w), the decoded prediction in metres, and the title
+            of its error.
         limit: of the latents.
         truth: metres; its limits are shared.
+        where: (H, W) bool, the pixels whose error is drawn.
     """
-    figure = Picture(2.6 * len(steps) + 0.8, 4.6)
-    axes = figure.subplots(2, len(steps), squeeze=False)
-    for (above, below), (t, (noisy, guess, title)) in zip(axes.T, steps.items(), strict=True):
-        draw_plane(above, (2 * noisy).round() / 2, f"latents after step {t}", (-limit, limit))
+    figure = Picture(2.6 * len(steps) + 0.8, 6.9)
+    axes = figure.subplots(3, len(steps), squeeze=False)
+    for (above, middle, below), (t, (noisy, guess, title)) in zip(axes.T, steps.items(), strict=True):
+        greys = draw_plane(above, (2 * noisy).round() / 2, f"latents after step {t}", (-limit, limit))
         few_colours = np.round(200 * guess) / 200  # 5 mm apart, for a small file
-        shown = depth(below, few_colours, depth_limits(truth), title, bar=False)
-    add_bar(figure, shown, axes[1], "depth")
+        shown = depth(middle, few_colours, depth_limits(truth), f"depth predicted in step {t}", bar=False)
+        differs = signed_error(
+            below, np.round(100 * (guess - truth)) / 100 + truth, truth, 100, title, False, where=where
+        )
+    bar = figure.colorbar(greys, ax=axes[0], fraction=0.05, pad=0.02, extend="both")  # keeps the columns in line
+    bar.set_label("latent (no unit)", fontsize=FONT)
+    for drawn, row, kind in ((shown, axes[1], "depth"), (differs, axes[2], "signed")):
+        add_bar(figure, drawn, row, kind)
     return figure
 
 

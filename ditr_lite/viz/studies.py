@@ -9,6 +9,7 @@ from ..data import Sample
 from .panels import FONT, GREY, OKABE_ITO, Picture, add_bar, error, rgb
 
 Interval = Sequence[float]
+PARTS = {"optical": 0, "geometric": 1, "autoencoder": 2, "detail": 6, "region": 7}  # the branches as in other pictures
 
 
 def intervals(
@@ -40,6 +41,53 @@ def intervals(
     ax.set_xlabel(label, fontsize=FONT)
     ax.set_title(title, fontsize=FONT)
     ax.tick_params(axis="x", labelsize=FONT)
+
+
+def training_curves(curves: Mapping[str, Sequence[tuple[int, float]]]) -> Picture:
+    """Draw validation figures against the training step: stage one's IoU in a panel of its own, all errors in another.
+
+    Args:
+        curves: part of :data:`PARTS` -> (step, figure) pairs; ``region`` holds IoU, the others errors relative to the
+            distance.
+    """
+    figure = Picture(8.5, 2.8)
+    left, right = figure.subplots(1, 2)
+    for name, points in curves.items():
+        ax, scale = (right, 1) if name == "region" else (left, 100)
+        steps, values = np.array(points, float).T
+        ax.plot(steps, scale * values, "o-", color=OKABE_ITO[PARTS[name]], markersize=3, label=name)
+    left.set(xlabel="step", ylabel="error (% of distance)", title="validation error")
+    right.set(xlabel="step", ylabel="IoU", title="validation IoU of stage one")
+    if left.lines:
+        left.set_ylim(0, 1.6 * max(line.get_ydata().max() for line in left.lines))  # room for the names
+        left.legend(fontsize=FONT, loc="upper center", ncols=2)
+    return figure
+
+
+def surest_kept(
+    kinds: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[float]]]], oracle: str = "oracle"
+) -> Picture:
+    """Draw, a panel for each kind of pixel, the RMSE of the surest pixels against the share of pixels that is kept.
+
+    Args:
+        kinds: title -> name of a curve -> shares and RMSE in metres; the curve called ``oracle`` is dotted.
+        oracle: name of the best curve that any order could give.
+    """
+    figure = Picture(10.0, 3.4)
+    names = list(dict.fromkeys(name for curves in kinds.values() for name in curves if name != oracle))
+    colours = dict(zip(names, (GREY, OKABE_ITO[5], OKABE_ITO[6]), strict=False)) | {oracle: OKABE_ITO[4]}
+    axes = figure.subplots(1, len(kinds), squeeze=False)[0]
+    for ax, (title, curves) in zip(axes, kinds.items(), strict=True):
+        for name, (shares, risks) in curves.items():
+            line = ":" if name == oracle else "o-"
+            ax.plot(100 * np.array(shares), 1000 * np.array(risks), line, color=colours[name], markersize=3, label=name)
+        ax.set_xlabel("surest pixels kept (%)", fontsize=FONT)
+        ax.set_title(title, fontsize=FONT)
+        ax.set_ylim(0, None)
+    axes[0].set_ylabel("RMSE of those (mm)", fontsize=FONT)
+    lines = {line.get_label(): line for ax in axes for line in ax.lines}
+    figure.legend(lines.values(), lines.keys(), loc="outside lower center", ncols=len(lines), fontsize=FONT)
+    return figure
 
 
 def scatter(ax: Axes, x: Sequence[float], y_m: Sequence[float], marked: Sequence[bool], label: str, title: str) -> None:

@@ -1,9 +1,8 @@
 """The boundary commands and ``tools/guide_study.py``, each on the smallest of runs."""
 
-import importlib.util
 import json
-from pathlib import Path
 
+import guide_study as study
 import pytest
 import torch
 
@@ -15,11 +14,6 @@ from ditr_lite.data import SAMPLES, list_samples
 from ditr_lite.evaluation import boundary as boundary_scoring
 from ditr_lite.training import boundary as boundary_training
 from ditr_lite.training.scenes import load_scenes
-
-ROOT = Path(__file__).resolve().parents[2]
-spec = importlib.util.spec_from_file_location("guide_study", ROOT / "tools" / "guide_study.py")
-study = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(study)
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import pytest
 from ditr_lite import files, pipeline
 from ditr_lite.cli import main
 from ditr_lite.cli.video import Steady
+from ditr_lite.data import load_sample
 
 SHAPE = (64, 96)
 QUICK = ["--steps", "1", "--samples", "1"]
@@ -211,6 +212,14 @@ def test_a_still_scene_is_held_still(flickering):
     assert comes_and_goes > 0.2 and flicker > 0.006
 
 
+def test_a_change_of_exposure_is_no_motion(flickering):
+    rng, steady = np.random.default_rng(1), Steady(flickering)
+    for k in range(5):
+        rgb, depth = scene(36, rng)
+        same = steady._compare((rgb * (1 - 0.05 * k)).astype(np.uint8), depth)
+        assert same.mean() > 0.95 or k == 0
+
+
 def test_what_moves_is_not_smeared(flickering):
     rng, steady = np.random.default_rng(1), Steady(flickering)
     for k in range(12):
@@ -239,3 +248,15 @@ def test_video_goes_through_the_frames_in_order(folders, weights, tmp_path, caps
     capsys.readouterr()
     given = {"rgb": tmp_path / "rgb/000.png", "depth": tmp_path / "depth/000.PNG", "out": tmp_path / "c.png"}
     assert "--video needs frames" in refused([*command(weights, **given), "--video"], capsys)
+
+
+def test_disparity_in_a_folder_of_frames_is_warned_of_once(weights, tmp_path, capsys):
+    scene = load_sample("val_00000")
+    inverse = np.where(scene.depth > 0, 0.3 / np.maximum(scene.depth, 0.1), 0).astype(np.float32)
+    for k in range(2):
+        files.write_picture(tmp_path / "rgb" / f"{k}.png", scene.rgb[..., ::-1])
+        files.write_depth(tmp_path / "depth" / f"{k}.npy", inverse)
+    folders = {name: tmp_path / name.partition("_")[0] for name in ("rgb_dir", "depth_dir", "out_dir")}
+    assert main(command(weights, **folders)) == 0
+    said = capsys.readouterr().err
+    assert said.count("looks like disparity") == 1 and said.count("looks like BGR") == 1

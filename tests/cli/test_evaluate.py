@@ -119,6 +119,9 @@ def test_simulate_never_writes_among_other_things(tmp_path, capsys, monkeypatch)
     (tmp_path / "test" / "thesis.tex").write_text("years of work")
     assert main(["simulate", "--split", "test", "--count", "1", "--out", str(tmp_path)]) == 2
     assert "holds something else than scenes of test, thesis.tex" in capsys.readouterr().err
+    (tmp_path / "test").rename(tmp_path / "work")
+    assert main(["simulate", "--split", "test", "--count", "1", "--out", str(tmp_path)]) == 2
+    assert "holds something else than scenes, work" in capsys.readouterr().err
 
 
 def test_training_never_writes_among_other_things(tmp_path, scenes, capsys):

@@ -303,6 +303,35 @@ def test_a_changed_tiny_system_is_compared_with_the_default(scenes, tmp_path, fr
     assert "--start needs --out" in refused([*argv, "--start", "outputs/weights"], capsys)
 
 
+def test_a_comparison_runs_over_several_seeds_and_is_written(scenes, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    argv = ["train", "--preset", "tiny", "--set", "unet.heads=1", "--val", str(scenes / "val"), "--limit", "2"]
+    argv += ["--steps", "1", "--batch", "2", "--seed", "3", "--seeds", "2", "--json", "found.json"]
+    assert main(argv) == 0
+    printed = capsys.readouterr().out
+    assert "seed 3" in printed and "seed 4" in printed and "mm apart" in printed
+    found = json.loads(Path("found.json").read_text())
+    assert found["command"] == shlex.join(["python", "-m", "ditr_lite", *argv]) and found["seeds"] == [3, 4]
+    by_seed = [
+        np.subtract(*(r["rmse_m"][arm]["optical"] for arm in ("changed", "default"))).mean() for r in found["runs"]
+    ]
+    difference = found["difference"]["optical"]
+    assert np.allclose(difference["by_seed"], by_seed) and by_seed[0] != by_seed[1]
+    assert np.isclose(difference["spread"], np.std(by_seed, ddof=1)) and np.isclose(
+        difference["mean"], np.mean(by_seed)
+    )
+    Path("mine.json").write_text('{"a": 1}')
+    for extra, reason in (
+        (["--json", "mine.json"], "something else than results"),
+        (["--json", "found.txt"], "ending in .json"),
+        (["--out", "arm"], "--out is one weights folder"),
+        (["--seed", str(2**63 - 1)], "leaves no 2 seeds"),
+        (["--part", "optical"], "--seeds and --json are of a comparison"),
+        (["--preset", "lite"], "--seeds and --json are of a comparison"),
+    ):
+        assert reason in refused([*argv, *extra], capsys)
+
+
 def test_training_never_writes_into_the_shipped_weights_by_itself(scenes, monkeypatch, capsys):
     calls, commands = [], []
 

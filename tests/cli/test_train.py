@@ -89,9 +89,21 @@ def test_weights_of_another_command_are_not_replaced_unasked(scenes, tmp_path, m
     assert "by another command" in (reason := refused([*argv, "--seed", "1"], capsys)) and "give --out" in reason
 
 
+def test_checkpoints_come_as_often_as_they_are_asked_for(weights, scenes, tmp_path, capsys):
+    argv = ["train", "--part", "region", "--data", str(scenes / "val"), "--val", str(scenes / "test")]
+    argv += ["--steps", "5", "--batch", "2", "--every", "2"]
+    for name, how in (("first", ["--preset", "tiny"]), ("tuned", ["--start", str(weights)])):
+        assert main([*argv, *how, "--out", str(tmp_path / name), "--work", str(tmp_path / f"{name}-work")]) == 0
+        curve = store.read_card(tmp_path / name)["parts"]["region"]["curve"]
+        assert [row["step"] for row in curve if row["step"]] == [2, 4, 5]
+    argv[2] = "all"
+    assert "--every is of a training" in refused([*argv, "--preset", "tiny", "--set", "unet.heads=1"], capsys)
+
+
 @pytest.mark.parametrize(
     ("more", "reason"),
     [
+        (["--every", "0"], "--every: expected at least 1"),
         (["--root", "x"], "--root is of --dataset NAME"),
         (["--dataset", "todd"], "--dataset todd needs --root DIR"),
         (["--accumulate", "0"], "--accumulate: expected at least 1"),

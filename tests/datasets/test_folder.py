@@ -1,6 +1,7 @@
 """A folder of one's own, made of real frames where there are any beside the repository."""
 
 import shutil
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from ditr_lite import datasets, files, pipeline
 from ditr_lite.config import preset
+from ditr_lite.data import load_sample
 from ditr_lite.viz import clouds
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "real"
@@ -37,3 +39,17 @@ def test_real_frames_go_from_two_files_to_a_cloud(tmp_path):
         assert np.array_equal(out.depth[kept], sample.depth[kept])
         assert files.write_ply(tmp_path / "c.ply", out.depth, sample.rgb, sample.camera) == out.depth.size
         assert len(clouds.points_of(out.depth, sample.rgb, sample.camera, 1000)[0]) > 500
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_folder_whose_raw_depth_and_truth_are_swapped_is_warned_of(tmp_path, swapped):
+    scene = load_sample("val_00001")
+    files.write_picture(tmp_path / "rgb" / "a.png", scene.rgb)
+    files.write_picture(tmp_path / "region" / "a.png", 255 * scene.region.astype(np.uint8))
+    for name, depth in (("depth", scene.depth), ("truth", scene.depth_gt)):
+        other = {"depth": "truth", "truth": "depth"}[name]
+        files.write_depth(tmp_path / (other if swapped else name) / "a.png", depth)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        assert datasets.Folder(tmp_path)[0].depth.any()
+    assert ["raw depth and truth look swapped" in str(w.message) for w in said] == [True] * swapped

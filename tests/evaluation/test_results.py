@@ -40,3 +40,12 @@ def test_what_is_not_there_is_named(weights, tmp_path):
         results.head("c", weights, ["region", "sonar"])
     with pytest.raises(ValueError, match="no results in .*results_nothing.json"):
         results.read("nothing", tmp_path)
+
+
+def test_provenance_says_which_weights(weights, monkeypatch):
+    report = results.head("make it", weights)
+    monkeypatch.setattr(results, "is_current", lambda _: True)
+    assert results.provenance(report) == "made with these weights; again: make it"
+    monkeypatch.setattr(results, "is_current", lambda _: False)
+    assert results.provenance(report).startswith("MADE WITH OTHER WEIGHTS")
+    assert results.provenance({"command": "c"}) == "made with networks of its own; again: c"

@@ -215,3 +215,38 @@ def test_nothing_to_score_on_is_said_before_anything_is_trained(tmp_path):
     with pytest.raises(ValueError, match="no scenes in"):
         compare_settings({"unet.heads": 1}, val=tmp_path, folder=tmp_path / "weights")
     assert not (tmp_path / "weights").exists()
+
+
+def run_of(seed, default, changed):
+    arms = {"default": {"optical": default, "geometric": [None] * 3}}
+    arms["changed"] = {"optical": changed, "geometric": [None] * 3}
+    told = {"settings": {"unet.heads": "1"}, "trained": ["optical"], "scenes": 2, "frames": 3, "region": "given"}
+    return {**told, "seed": seed, "rmse_m": arms}
+
+
+def test_seeds_by_hand(monkeypatch):
+    runs = {5: run_of(5, [0.1, 0.2, None], [0.2, 0.3, None]), 6: run_of(6, [0.1, 0.2, None], [0.3, 0.4, None])}
+    homes = []
+
+    def fake(settings, seed, folder, work):
+        homes.append((folder, work))
+        return runs[seed]
+
+    monkeypatch.setattr(experiment, "compare_settings", fake)
+    found = experiment.compare_over_seeds({"unet.heads": 1}, (5, 6), folder="w")
+    assert homes == [("w", None), (Path("w/seed_6"), None)]  # no arm replaces that of another seed
+    optical = found["difference"]["optical"]
+    assert np.allclose(optical.pop("by_seed"), [0.1, 0.2])
+    assert optical == pytest.approx(
+        {"mean": 0.15, "low": 0.15, "high": 0.15, "spread": 0.005**0.5, "seeds_apart": 0.1, "clear": True}
+    )
+    assert found["difference"]["geometric"] is None
+    text = experiment.format_seeds(found)
+    assert "150.0 -> 250.0" in text and "150.0 -> 350.0" in text and "geometric: no frame" in text
+    assert "a larger error than tiny as it is (+150.0 mm" in text and "seeds 100.0 mm apart: clear" in text
+
+
+@pytest.mark.parametrize(("seeds", "out"), [((), None), ((0, 1), "mine")])
+def test_seeds_that_cannot_be_are_refused(seeds, out):
+    with pytest.raises(ValueError, match="at least one seed"):
+        experiment.compare_over_seeds({"unet.heads": 1}, seeds, out=out)

@@ -90,6 +90,13 @@ def test_the_verdict_follows_the_interval(rho, words):
 def test_ranges_leave_out_what_was_not_measured():
     described = {f"f{k}": dict.fromkeys(failures.DESCRIBED, 0.5) | {"objects": k, "miss_rate": None} for k in range(4)}
     lines = failures.format_ranges(described | {"more": described["f0"] | {"overlap": 0.25}}).splitlines()
-    assert len(lines) == len(failures.DESCRIBED)
+    assert [line.split()[0] for line in lines] == list(failures.DESCRIBED)
     assert lines[2].endswith(" 0.000 to  3.000") and lines[3].endswith(" 0.250 to  0.500")
     assert lines[-1].endswith("not measured")
+
+
+def test_the_papers_cases_are_judged_by_their_intervals():
+    rho = dict.fromkeys(failures.DESCRIBED, (0.3, 0.1, 0.5)) | {"overlap": None}
+    *lines, largest, overlap = failures.format_verdicts(rho).splitlines()
+    assert len(lines) == len(rho) and largest.endswith("'largest_share': confirmed on these scenes")
+    assert overlap.endswith("'overlap': not confirmed on these scenes")

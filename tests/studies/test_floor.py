@@ -1,10 +1,9 @@
 """The floor: which pixels are edges, what is encoded, which numbers come out."""
 
-import importlib.util
 import json
 from dataclasses import replace
-from pathlib import Path
 
+import compare_factors
 import numpy as np
 import pytest
 import torch
@@ -19,7 +18,6 @@ from ditr_lite.conditioning import depth_bounds
 from ditr_lite.config import preset
 from ditr_lite.studies import floor
 
-ROOT = Path(__file__).resolve().parents[2]
 SHAPE = (32, 48)
 
 
@@ -183,19 +181,12 @@ def test_the_command_prints_and_writes_json(sample, tmp_path, capsys):
     assert main(["floor", "--weights", str(tmp_path), "--limit", "1"]) == 2 and "no weights" in capsys.readouterr().err
 
 
-def compare_factors():
-    spec = importlib.util.spec_from_file_location("compare_factors", ROOT / "tools" / "compare_factors.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_factors_are_compared(tmp_path):
     for split in ("train", "val"):
         data.save_sample(replace(sample_of(), name=f"{split}_00000"), tmp_path / split / f"{split}_00000")
     argv = ["--preset", "tiny", "--steps", "1", "--batch", "1", "--factors", "2", "4", "--data", tmp_path / "train"]
     argv += ["--val", tmp_path / "val", "--work", tmp_path / "work", "--json", tmp_path / "f.json"]
-    assert compare_factors().main([str(word) for word in argv]) == 0
+    assert compare_factors.main([str(word) for word in argv]) == 0
     two, four = json.loads((tmp_path / "f.json").read_text())["rows"]
     assert (two["factor"], four["factor"]) == (2, 4) and two["parameters"] < four["parameters"]
     assert two["floor"]["numbers_per_pixel"] == 4 * four["floor"]["numbers_per_pixel"] == 1
@@ -215,7 +206,7 @@ def sample_of():
 def test_the_committed_comparison_is_complete():
     result = json.loads((store.WEIGHTS / "results_factors.json").read_text())
     assert [row["factor"] for row in result["rows"]] == [2, 4, 8] and result["split"] == "val"
-    tool, config = compare_factors(), preset("lite")
-    assert [row["step_flop"] for row in result["rows"]] == [tool.step_flops(config, f) for f in (2, 4, 8)]
+    config = preset("lite")
+    assert [row["step_flop"] for row in result["rows"]] == [compare_factors.step_flops(config, f) for f in (2, 4, 8)]
     errors = [row["floor"]["rmse_m"] for row in result["rows"]]
     assert all(row["edge"][0] > 3 * row["interior"][0] for row in errors)

@@ -147,3 +147,16 @@ def test_failures_are_told_in_words(tmp_path):
     failures = compare.read_failures({"failures": {"regression": "val_00000"}}, tmp_path)
     told = compare.format_failures(failures)
     assert "+100.0" in told and told.endswith("the glass is too far as a whole")
+
+
+def test_the_training_is_told_from_the_results():
+    rows = [("ditr", 0, "ditr_optical-0", 80), ("ditr", 0, "ditr_detail-0", 40), ("ditr", 1, "ditr_optical-1", 118)]
+    parts = {
+        name: {"arm": arm, "seed": seed, "cpu_seconds": s} for arm, seed, name, s in (*rows, ("bb", 0, "bb-0", 120))
+    }
+    told = compare.format_training({"trained": parts, "settings": {"size": [96, 128]}}, (192, 256)).splitlines()
+    assert told[0].startswith("2 arms, 2.0 to 2.0 minutes") and told[1].endswith(": ditr")
+    assert (
+        "33% of the time" in told[2]
+        and told[3] == "working size 128 x 96 pixels; the shipped system works at 256 x 192"
+    )

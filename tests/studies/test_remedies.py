@@ -1,18 +1,16 @@
 """Remedies: every run works on a frame, the edge meter finds a shift, and the table says what the intervals say."""
 
-import importlib.util
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
+import remedy_study
 
 from ditr_lite import store
 from ditr_lite.data import Sample, list_samples, load_sample
 from ditr_lite.evaluation import results
 from ditr_lite.studies import remedies
 
-ROOT = Path(__file__).resolve().parents[2]
 RESULT = store.WEIGHTS / "results_remedies.json"
 SCENE = load_sample(list_samples("rooms_val")[4])
 
@@ -84,13 +82,10 @@ def test_the_committed_results_are_whole():
 
 
 def test_the_command_writes_what_it_measured(tiny, tmp_path, monkeypatch, capsys):
-    spec = importlib.util.spec_from_file_location("remedy_study", ROOT / "tools" / "remedy_study.py")
-    study = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(study)
-    monkeypatch.setattr(study.Ditr, "from_pretrained", lambda: tiny)
+    monkeypatch.setattr(remedy_study.Ditr, "from_pretrained", lambda: tiny)
     monkeypatch.setattr(remedies, "REMEDIES", remedies.REMEDIES[:1])
     out = tmp_path / "results_remedies.json"
-    assert study.main(["--limit", "1", "--json", str(out)]) == 0
+    assert remedy_study.main(["--limit", "1", "--json", str(out)]) == 0
     assert "| all distances off by one factor |" in capsys.readouterr().out
     written = results.read("remedies", tmp_path)
     assert len(written["frames"]) == 1 and written["rows"][0]["before_m"][0] > 0.1

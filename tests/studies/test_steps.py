@@ -116,3 +116,14 @@ def test_four_honest_draws_cover_three_fifths():
     truth = (0.7 + 0.01 * rng.normal(size=SHAPE)).astype(np.float32)
     members = (0.7 + 0.01 * rng.normal(size=(4, *SHAPE))).astype(np.float32)
     assert study.draw_scores(members, replace(s, depth_gt=truth))["coverage"] == pytest.approx(60, abs=2)
+
+
+def test_draws_of_several_steps_stand_in_columns_and_the_best_is_named():
+    rows = {n: [dict.fromkeys(study.SCORES, v), dict.fromkeys(study.SCORES)] for n, v in ((1, 2.0), (10, 1.0))}
+    head, seconds, *scores = study.format_draws(rows, {1: 0.5, 10: 3.0}).splitlines()
+    assert head.split() == ["1", "step", "10", "steps", "best"] and seconds.split()[-2:] == ["0.50", "3.00"]
+    assert all(line.split()[-3:-1] == ["2.0", "1.0"] for line in scores)
+    best = [line.split()[-1] for line in scores]
+    assert best == ["10" if less else "1" for _, less in study.SCORES.values()]
+    unscored = study.format_draws({1: [dict.fromkeys(study.SCORES)]}, {1: 1.0}).splitlines()[-1]
+    assert unscored.split()[-2:] == ["-", "-"]

@@ -13,7 +13,7 @@ from ditr_lite.datasets.export import WRITERS, export
 from ditr_lite.region import IGNORE
 from ditr_lite.training import readers
 from ditr_lite.training.readers import RealFrames, stored_size
-from ditr_lite.training.scenes import MAPS, checksum, load_scenes
+from ditr_lite.training.scenes import MAPS, checksum, every, load_scenes
 
 TINY = preset("tiny")
 NAMES = dl.list_samples("val")[:3]
@@ -62,6 +62,31 @@ def test_decoded_frames_are_kept_and_made_again_when_something_changes(exported,
     replace(frames, zero_region=True).scenes("optical", TINY, None)
     replace(frames, limit=2).scenes("optical", TINY, None)
     assert len(calls) == 3
+
+
+def test_damaged_frames_are_noticed_and_a_spoilt_folder_is_made_again(exported, tmp_path):
+    frames = RealFrames("folder", exported / "folder", cache=tmp_path)
+    [whole] = frames.scenes("optical", TINY, None)
+    wanted = every(whole, range(3))
+    [folder] = tmp_path.iterdir()
+    depth, description = folder / "0_depth.bin", folder / "frames.json"
+    data = bytearray(depth.read_bytes())
+    data[len(data) // 2] ^= 16  # in the second of three frames
+    depth.write_bytes(data)
+    [spoilt] = frames.scenes("optical", TINY, None)
+    assert np.array_equal(spoilt.depth[0], wanted.depth[0]) and np.array_equal(spoilt.rgb[1], wanted.rgb[1])
+    with pytest.raises(ValueError, match=f"a decoded frame in {folder} is damaged: delete that folder"):
+        spoilt.depth[1]
+    text = description.read_text()
+    for file, damage in (
+        (depth, b"cut"),
+        (description, text.replace("true", "fals", 1).encode()),
+        (description, text.replace("val_00001", "val_00007").encode()),
+        (description, b"\xff"),
+    ):
+        file.write_bytes(damage)
+        [again] = frames.scenes("optical", TINY, None)
+        assert checksum(every(again, range(3))) == checksum(wanted)
 
 
 def test_zeroed_regions_have_no_reading_and_all_else_stays(exported, tmp_path):

@@ -73,6 +73,18 @@ def test_signed_errors_are_symmetric_and_keep_their_sign(ax, sample):
     assert blue > red  # too near is blue
 
 
+def test_errors_can_be_judged_in_a_mask_alone(ax, sample):
+    where = np.zeros(sample.depth.shape, bool)
+    where[5, :3] = True
+    far = sample.depth_gt + np.float32(0.01)
+    drawn = panels.error(ax, far, sample.depth_gt, where=where)
+    assert ax.get_title() == "mean 10.0 mm" and drawn.get_array().mask.sum() == where.size - 3
+    figure = viz.row([("error", far, ""), ("signed", far, "s")], depth_gt=sample.depth_gt, where=where)
+    assert [a.get_title() for a in figure.axes[:2]] == ["mean 10.0 mm", "s"]
+    with pytest.raises(ValueError, match="where should be"):
+        panels.error(ax, far, sample.depth_gt, where=where[:1])
+
+
 def test_error_without_any_common_pixel(ax, sample):
     viz.error(ax, np.zeros_like(sample.depth), sample.depth_gt, title="none")
     assert ax.get_title() == "none\n768 px unknown"

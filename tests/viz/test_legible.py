@@ -177,6 +177,8 @@ EVERY = {
         {f"figure {k}": (0.1, 0.0, 0.3) for k in range(5)},
     ),
     "worst_scenes": lambda: studies.worst_scenes([SCENE] * 6, [SCENE.depth] * 6, list("abcdef"), [SCENE.region] * 6),
+    "training_curves": lambda: studies.training_curves({n: [(1, 0.2), (2, 0.1)] for n in ("optical", "region")}),
+    "surest_kept": lambda: studies.surest_kept({n: {"oracle": ([0.5, 1], [0.01, 0.02])} for n in ("optical", "kept")}),
 }
 
 

@@ -42,10 +42,16 @@ def test_latents_are_drawn_channel_by_channel():
     assert titles(figure) == [f"{name}, channel {k}" for name in ("start", "target") for k in range(4)]
 
 
-def test_steps_stand_beside_each_other_with_their_predictions_below():
+def test_steps_stand_beside_each_other_with_their_predictions_and_errors_below():
     plane, truth = torch.zeros(6, 6), np.ones((24, 24), np.float32)
-    figure = stages.draw_steps({1: (plane, truth, "first"), 8: (plane, truth, "last")}, 1.0, truth)
-    assert titles(figure) == ["latents after step 1", "latents after step 8", "first", "last"]
+    where, steps = np.zeros(truth.shape, bool), {1: (plane, truth + 0.05, "first"), 8: (plane, truth, "last")}
+    where[:6] = True
+    figure = stages.draw_steps(steps, 1.0, truth, where)
+    above, middle = (f"{what} step" for what in ("latents after", "depth predicted in"))
+    assert titles(figure) == [f"{above} 1", f"{above} 8", f"{middle} 1", f"{middle} 8", "first", "last"]
+    shown = figure.axes[4].images[0].get_array()
+    np.testing.assert_allclose(shown[where], 50, atol=1e-3)
+    assert shown.mask[~where].all()
 
 
 def test_a_probability_is_drawn_from_0_to_1():

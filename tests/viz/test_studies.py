@@ -73,3 +73,22 @@ def test_lists_of_different_lengths_are_refused():
         ablation_plots.worst_scenes(samples, depths[:1], titles, found)
     with pytest.raises(ValueError, match="as many of each"):
         ablation_plots.worst_scenes([], [], [], [])
+
+
+def test_stage_one_has_a_panel_of_its_own():
+    figure = ablation_plots.training_curves({"optical": [(1, 0.05), (2, 0.04)], "region": [(5, 0.5), (9, 0.6)]})
+    left, right = figure.axes
+    np.testing.assert_allclose(left.lines[0].get_xydata(), [[1, 5], [2, 4]])
+    np.testing.assert_allclose(right.lines[0].get_xydata(), [[5, 0.5], [9, 0.6]])
+    assert ablation_plots.training_curves({}).png()  # no part has a curve
+
+
+def test_the_surest_pixels_are_drawn_kind_by_kind_and_the_oracle_dotted():
+    curve = [0.5, 1.0], [0.01, 0.02]
+    kinds = {"optical": {"spread": curve, "calibrated": curve, "oracle": curve}, "kept": {"calibrated": curve}}
+    figure = ablation_plots.surest_kept(kinds)
+    optical, kept = figure.axes
+    assert [line.get_linestyle() for line in optical.lines] == ["-", "-", ":"]
+    assert optical.lines[1].get_color() == kept.lines[0].get_color() != optical.lines[0].get_color()
+    np.testing.assert_allclose(kept.lines[0].get_xydata(), [[50, 10], [100, 20]])
+    assert [text.get_text() for text in figure.legends[0].texts] == ["spread", "calibrated", "oracle"]
