@@ -46,6 +46,7 @@ FORMULAS = {  # each has its own family of mistakes
     "sensors' noise and dropouts",
     "calibration",
     "a frame's way back",
+    "mistakes of a frame",
 }
 
 
