@@ -16,20 +16,6 @@ RESULT = store.WEIGHTS / "results_robustness.json"
 SCENE = load_sample(list_samples("val")[1])
 
 
-@pytest.mark.parametrize("name", CONDITIONS)
-def test_no_condition_crashes_or_gives_what_is_not_finite(name, tiny):
-    condition, strengths, _, _ = CONDITIONS[name]
-    for strength in strengths:
-        frame, case = condition(SCENE, strength), f"{name} {strength}"
-        assert frame.rgb.dtype == np.uint8 and frame.rgb.shape == (*frame.depth.shape, 3), case
-        assert frame.depth.dtype == frame.depth_gt.dtype == np.float32 and frame.region.dtype == bool, case
-        assert np.isfinite(frame.depth).all() and (frame.depth >= 0).all() and (frame.depth > 0).any(), case
-        out = tiny(frame.rgb, frame.depth)
-        assert out.depth.shape == frame.depth.shape and np.isfinite(out.depth).all() and (out.depth > 0).all(), case
-        keep = (frame.depth > 0) & ~out.region
-        assert np.array_equal(out.depth[keep], frame.depth[keep]), case
-
-
 @pytest.mark.parametrize("name", [n for n in CONDITIONS if n not in ("distance", "aspect")])
 def test_the_neutral_strength_changes_nothing(name):
     frame = CONDITIONS[name][0](SCENE, CONDITIONS[name][2])
@@ -231,3 +217,17 @@ def test_the_tool_spreads_its_scenes_over_the_rendered_split():
 
     names = list_samples("test")
     assert tool.frames(4) == [names[k] for k in (0, 32, 64, 96)]
+
+
+@pytest.mark.parametrize("name", CONDITIONS)
+def test_no_condition_crashes_or_gives_what_is_not_finite(name, tiny):
+    condition, strengths, _, _ = CONDITIONS[name]
+    for strength in strengths:
+        frame, case = condition(SCENE, strength), f"{name} {strength}"
+        assert frame.rgb.dtype == np.uint8 and frame.rgb.shape == (*frame.depth.shape, 3), case
+        assert frame.depth.dtype == frame.depth_gt.dtype == np.float32 and frame.region.dtype == bool, case
+        assert np.isfinite(frame.depth).all() and (frame.depth >= 0).all() and (frame.depth > 0).any(), case
+        out = tiny(frame.rgb, frame.depth)
+        assert out.depth.shape == frame.depth.shape and np.isfinite(out.depth).all() and (out.depth > 0).all(), case
+        keep = (frame.depth > 0) & ~out.region
+        assert np.array_equal(out.depth[keep], frame.depth[keep]), case
