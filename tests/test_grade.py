@@ -200,3 +200,11 @@ def test_a_worker_is_ended_with_all_that_it_started():
 def test_every_checker_of_the_collection_is_known_by_name(path):
     tasks = grade.tasks_of(nbformat.read(path, as_version=4))
     assert len(tasks) >= 4 and len({task.checker for task in tasks}) == len(tasks)
+
+
+def test_what_notebook_10_reads_lies_beside_the_copy_of_the_package():
+    source = """import ditr_lite as dl
+cluster = dl.data.SAMPLES.parent / "tools" / "cluster"
+print(*sorted(path.suffix for path in cluster.iterdir()))"""
+    done = grade.run_apart(new_notebook(cells=[new_code_cell(source)]), timeout=120, limit=240)
+    assert [out.get("text") for out in done.cells[0].outputs] == [".sbatch .yaml\n"]
