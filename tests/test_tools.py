@@ -21,7 +21,7 @@ from ditr_lite.config import RefineConfig, StdConfig, preset
 from ditr_lite.data import list_samples, load_sample
 from ditr_lite.pipeline import Ditr, build
 from ditr_lite.store import save_part
-from ditr_lite.studies import peer_tables
+from ditr_lite.studies import denoisers, peer_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -222,6 +222,15 @@ def test_the_peers_go_into_the_readme(monkeypatch):
     assert "the same 938 scenes for 1.5 min" in text and "128 x 96" in text and "earlier weights" in text
     assert all(f"| {name} | {says} |" in text for name, says in peer_tables.IDEAS.items())
     assert text.count("+DP after BB, optical, per training seed") == 2 and "1 without" in text
+
+
+def test_the_variants_of_the_denoiser_go_into_the_readme():
+    ways = [denoisers.way_of(*asked) for asked in denoisers.ASKED]
+    errors = {"default": dict.fromkeys(ways, np.full(4, 0.02)), "eps": dict.fromkeys(ways, np.full(4, 0.03))}
+    report = {"minutes": 1.5, "scenes": 938, "summary": denoisers.summarise_denoisers(errors), "command": "python x"}
+    text = readme_results.variants(report)
+    assert "1.5 min" in text and "938 scenes" in text and "`python x`" in text
+    assert denoisers.DENOISERS["eps"].says in text and "+1.00 [+1.00, +1.00]" in text
 
 
 ANYWHERE = (soak.two_runs, soak.weights_damaged, soak.training_not_finite, soak.training_damaged, soak.caches_damaged)
