@@ -1,6 +1,7 @@
 """No condition crashes or gives a value that is not finite; each changes what it says and nothing else."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -122,6 +123,9 @@ def test_a_room_is_behind_and_the_glass_before_it_does_not_count(disturbed):
     assert 0.14 < moved.mean() < 0.16 and set(np.unique(made.frame.depth[:, 0])) <= {0, 4}
     assert not made.frame.region[:, : int(0.27 * width)].any() and made.frame.region.any()
     assert np.array_equal(made.frame.depth == 0, SCENE.depth == 0)
+    everywhere = replace(SCENE, region=np.ones_like(SCENE.region))
+    counted = robustness.room_behind(everywhere, 4).frame.region
+    assert counted.any(axis=0).mean() == pytest.approx(0.73, abs=0.01) and counted[:, -1].all()
 
 
 @pytest.mark.parametrize(
