@@ -70,8 +70,10 @@ def own_sampler(sampler: Sampler) -> Sampler:
         if not isinstance(drawn, Tensor) or drawn.shape != shape:
             got = tuple(drawn.shape) if isinstance(drawn, Tensor) else type(drawn).__name__
             raise ValueError(f"sampler: expected a tensor {tuple(shape)} of latents, got {got}")
-        if not (drawn.is_floating_point() and drawn.isfinite().all()):
-            raise ValueError(f"sampler: expected latents of floating-point numbers, all finite, got {drawn.dtype}")
+        if not drawn.is_floating_point():
+            raise ValueError(f"sampler: expected latents of floating-point numbers, got {drawn.dtype}")
+        if not torch.isfinite(drawn).all():
+            raise ValueError("sampler: the latents hold NaN or infinity")
         return drawn.float()
 
     return call
@@ -82,8 +84,7 @@ def _device(name: str | torch.device) -> torch.device:
         device = torch.device(name)
         torch.empty(0, device=device)
     except (RuntimeError, AssertionError, NotImplementedError, TypeError) as error:
-        why = str(error).splitlines()[0]
-        raise ValueError(f"device {name!r} cannot be used here ({why}); choose 'cpu'") from None
+        raise ValueError(f"device {name!r} cannot be used here ({str(error).splitlines()[0]}); choose 'cpu'") from None
     return device
 
 
