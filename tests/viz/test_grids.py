@@ -295,7 +295,7 @@ def test_no_other_module_draws():
     imports = re.compile(r"^\s*(import|from) matplotlib", re.MULTILINE)
     drawing = [p for p in package.rglob("*.py") if imports.search(p.read_text(encoding="utf-8"))]
     assert {p.relative_to(package).as_posix() for p in drawing} == {
-        *("viz/drawings.py", "viz/grids.py", "viz/panels.py", "viz/studies.py")
+        *("viz/drawings.py", "viz/grids.py", "viz/lines.py", "viz/panels.py", "viz/studies.py")
     }
 
 
