@@ -112,15 +112,15 @@ def draw_frames(
         backend: finds the guides; None leaves them out.
         still: do not move or turn them.
         mixed: share of the frames of which a part is replaced by another.
-        share: of the batch that is returned; all of it is drawn, so that every share knows what the others are.
+        share: of the batch, the part that is drawn and returned.
     """
     views = []
-    for _ in range(count):
-        view = frame_view(*pool.pick(rng), size, rng, still)
-        if mixed and rng.random() < mixed:
-            view = mix_views(view, frame_view(*pool.pick(rng), size, rng, still), rng)
-        views.append(disturb(view, rng))
-    return batch_of(share.take(views), backend)
+    for own in share.take(rng.spawn(count)):  # a generator for each frame: a share draws only its own frames
+        view = frame_view(*pool.pick(own), size, own, still)
+        if mixed and own.random() < mixed:
+            view = mix_views(view, frame_view(*pool.pick(own), size, own, still), own)
+        views.append(disturb(view, own))
+    return batch_of(views, backend)
 
 
 def draw_windows(
@@ -132,8 +132,10 @@ def draw_windows(
     share: Share = WHOLE,
 ) -> Batch:
     """Draw windows around what the optical branch must paint, a third of them mistaken; see :func:`draw_frames`."""
-    views = [disturb(window_view(*pool.pick(rng), (side, side), rng), rng) for _ in range(count)]
-    return batch_of(share.take(views), backend, around=True)
+    views = []
+    for own in share.take(rng.spawn(count)):
+        views.append(disturb(window_view(*pool.pick(own), (side, side), own), own))
+    return batch_of(views, backend, around=True)
 
 
 def frames_in_order(
@@ -168,9 +170,12 @@ def epoch_frames(
     order = np.random.default_rng([seed, epoch]).permutation(len(scenes))
     if share.of > 1:
         order = np.resize(order, count * steps_of_an_epoch(len(scenes), count))
-    rng = np.random.default_rng([seed, epoch, place])
-    views = [disturb(frame_view(scenes, i, size, rng), rng) for i in order[place * count : (place + 1) * count]]
-    return batch_of(share.take(views), backend)
+    chosen = order[place * count : (place + 1) * count]
+    generators = np.random.default_rng([seed, epoch, place]).spawn(len(chosen))
+    views = []
+    for i, own in share.take(list(zip(chosen, generators, strict=True))):
+        views.append(disturb(frame_view(scenes, i, size, own), own))
+    return batch_of(views, backend)
 
 
 def windows_in_order(

@@ -53,8 +53,8 @@ def draw_outlines(
     mode: str, scenes: Scenes, outlines: np.ndarray, count: int, seed: int, step: int, share: Share
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return a share of the crops of a step, stacked; see :func:`draw_crop`."""
-    rng = rng_of(seed, step)
-    crops = share.take([draw_crop(mode, scenes, outlines, rng) for _ in range(count)])
+    own = share.take(rng_of(seed, step).spawn(count))  # a generator for each crop: a share draws only its own crops
+    crops = [draw_crop(mode, scenes, outlines, rng) for rng in own]
     x, boundary, known = (torch.cat(column) for column in zip(*crops, strict=True))
     return x, boundary, known
 
