@@ -15,8 +15,8 @@ def check_square(attempt: Function) -> bool:
     and is moved into the frame. In all cases it fits there, and no rounding is needed: all three numbers are whole.
     """
 
-    def wish(box, shape, margin=2, least=0.2):
-        return round(max(margin * max(box[2] - box[0], box[3] - box[1]), least * max(shape)))
+    def wish(box, shape, margin=2, least=0.2, of_box=max, of_frame=max):
+        return round(max(margin * of_box(box[2] - box[0], box[3] - box[1]), least * of_frame(shape)))
 
     def side_of(box, shape, **settings):
         return min(wish(box, shape, **settings), max(shape))
@@ -53,21 +53,17 @@ def check_square(attempt: Function) -> bool:
         "it must lie in the frame: move it, without changing its side": lambda b, s: np.array(
             [*corner(b, side_of(b, s)), side_of(b, s)]
         ),
-        "the side is twice the *longer* side of the box": with_side(
-            lambda b, s: max(2 * min(b[2] - b[0], b[3] - b[1]), round(0.2 * max(s)))
-        ),
+        "the side is twice the *longer* side of the box": with_side(partial(wish, of_box=min)),
         "the side is twice the box's height: a wide blob would not fit": with_side(
-            lambda b, s: max(2 * (b[2] - b[0]), round(0.2 * max(s)))
+            partial(wish, of_box=lambda height, width: height)
         ),
         "the side is twice the box's width: a tall blob would not fit": with_side(
-            lambda b, s: max(2 * (b[3] - b[1]), round(0.2 * max(s)))
+            partial(wish, of_box=lambda height, width: width)
         ),
         "there is no room around the blob: the side is twice that of the box": with_side(partial(wish, margin=1)),
         "the side is at least a fifth of the frame's longer side": with_side(partial(wish, least=0)),
         "the side is at most the frame's longer side": unbounded,
-        "a fifth of the frame's *longer* side, not of the shorter": with_side(
-            lambda b, s: max(2 * max(b[2] - b[0], b[3] - b[1]), round(0.2 * min(s)))
-        ),
+        "a fifth of the frame's *longer* side, not of the shorter": with_side(partial(wish, of_frame=min)),
         "the box should lie in the middle, not in the upper left corner": about(lambda b, side: b[:2]),
         "rows and columns are swapped": lambda b, s: right(b, s)[[1, 0, 2]],
         "the order is top, left, side": lambda b, s: right(b, s)[[2, 0, 1]],
