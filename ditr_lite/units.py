@@ -271,9 +271,10 @@ def looks_bgr(rgb: np.ndarray) -> bool:
 def _of_jpeg(pixels: np.ndarray) -> float:
     """Return the share of colours (N, 3), red first, that whole numbers of Y, Cb, Cr give (JFIF, ITU-T T.871)."""
     red, green, blue = pixels.T
-    y = np.rint(0.299 * red + 0.587 * green + 0.114 * blue)
-    cb = np.rint((blue - (0.299 * red + 0.587 * green + 0.114 * blue)) / 1.772)
-    cr = np.rint((red - (0.299 * red + 0.587 * green + 0.114 * blue)) / 1.402)
+    luminance = 0.299 * red + 0.587 * green + 0.114 * blue
+    y = np.rint(luminance)
+    cb = np.rint((blue - luminance) / 1.772)
+    cr = np.rint((red - luminance) / 1.402)
     green_again = y - (0.114 * 1.772 * cb + 0.299 * 1.402 * cr) / 0.587
     again = np.stack([y + 1.402 * cr, green_again, y + 1.772 * cb], axis=1)
     return float((np.abs(again - pixels) < 0.51).all(axis=1).mean())

@@ -635,6 +635,8 @@ INPUTS = [
         "pipeline",
         ("the padding is claimed", "self.refine(claimed & frame.picture, refine)", "self.refine(claimed, refine)"),
         ("branches: the same noise", "2 * seed + BRANCHES.index(branch)", "2 * seed"),
+        ("looks: a mirrored one is not turned back", "mirrored.flip(-1)]", "mirrored]"),
+        ("looks: only the first", "if scale == 1 or larger", "if scale == 1"),
     ),
     *family(
         "stage one scored",
@@ -686,7 +688,7 @@ MISTAKES = [
         ("inverse: coarse values, too", "if not steps.size or", "if False and"),
         ("BGR: judged as it came only", "and _of_jpeg(pixels[:, ::-1]) > LATTICE[1]", ""),
         ("BGR: grey, too", "> 8)]", "> -1)]"),
-        ("BGR: blue's scale for red", "* blue)) / 1.402)", "* blue)) / 1.772)"),
+        ("BGR: blue's scale for red", "(red - luminance) / 1.402)", "(red - luminance) / 1.772)"),
         ("swapped: the other way round", "reverse.mean() - lost.mean()", "lost.mean() - reverse.mean()"),
         ("swapped: gaps only", "| (both & (truth > 1.01 * depth))", ""),
         ("swapped: noise, too", "(truth > 1.01 * depth)", "(truth > depth)"),
