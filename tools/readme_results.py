@@ -96,7 +96,7 @@ def peers(result: dict) -> str:
         f"on the same {scenes:,} scenes for {each:g} min of processor time, as were the networks of "
         f"*{peer_tables.EQUAL}*; all at a working size of {width} x {height} pixels, in the same windows, "
         "with the same pretrained colour. *+RR* is the paper's DITR, which the last column holds against each row; "
-        f"*{peer_tables.EQUAL}* spends a third of its time on our finer final step, whose trust in readings was chosen "
+        f"*{peer_tables.EQUAL}* spends part of its time on our finer final step, whose trust in readings was chosen "
         "for cameras and not for rendered frames; "
         f"*{peer_tables.SHIPPED}* is the shipped system. RMSE in millimetres, "
         "composed with the region that stage one predicts. Stage one, the autoencoder and the encoder of colour are "
