@@ -3,7 +3,6 @@
 Paper: Sec. IV-A and Fig. 5; Eq. 3, ``D_out = DITR(D_in given X)``.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,10 +22,10 @@ from .metrics import expected_error
 from .region import ColourEncoder, RegionNet, refine_region
 from .schedule import make_schedule
 from .stage_two import BRANCHES, Painter, Plan, Sampler, Views, paint
-from .store import load_parts
+from .store import load_parts, usable_device
 from .unet import DenoisingUNet
 from .units import MAX_SEED, check_count, check_inputs, strips, without_strays
-from .windows import Claim, Completion, Frame, Layer, Painting, Window, choose_windows, fit_frame, level
+from .windows import Claim, Completion, Frame, Layer, Painting, close_ups, fit_frame, level
 
 
 def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, region: np.ndarray) -> np.ndarray:
@@ -79,15 +78,6 @@ def own_sampler(sampler: Sampler) -> Sampler:
     return call
 
 
-def _device(name: str | torch.device) -> torch.device:
-    try:
-        device = torch.device(name)
-        torch.empty(0, device=device)
-    except (RuntimeError, AssertionError, NotImplementedError, TypeError) as error:
-        raise ValueError(f"device {name!r} cannot be used here ({str(error).splitlines()[0]}); choose 'cpu'") from None
-    return device
-
-
 class Ditr:
     """Two-stage latent-diffusion depth completion.
 
@@ -115,7 +105,7 @@ class Ditr:
         device: str | torch.device = "cpu",
         sampler: Sampler = diffusion.sample,
     ):
-        self.config, self.device = config, _device(device)
+        self.config, self.device = config, usable_device(device)
         self.parts = parts.to(self.device, memory_format=torch.channels_last).eval().requires_grad_(False)
         self.schedule = make_schedule(config.schedule)
         self.backend = own_backend(boundary) if callable(boundary) else get_backend(boundary, boundary_path)
@@ -323,7 +313,7 @@ class Ditr:
             views, bounds = self.look([small], plan.guides[0], False, [maps])
             mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
             return replace(painting, close=(Layer(mean[0], spread[0], frame),))
-        close = self.close_ups(rgb, depth, region, lambda: painting.geometric)
+        close = close_ups(rgb, depth, region, self.config.window, lambda: painting.geometric)
         if not close:
             return painting
         views, bounds = self.look([shown for *_, shown in close], plan.guides[0], True)
@@ -332,28 +322,6 @@ class Ditr:
         for i, (window, pixels, inner, _) in enumerate(close):
             layers.append(Layer(mean[i], spread[i], inner, window, pixels))
         return replace(painting, close=tuple(layers))
-
-    def close_ups(
-        self,
-        rgb: np.ndarray,
-        depth: np.ndarray,
-        region: np.ndarray,
-        spare: np.ndarray | Callable[[], np.ndarray],
-    ) -> list[tuple[Window, np.ndarray, Frame, tuple[np.ndarray, ...]]]:
-        """Return the windows of a region: each with the (H, W) bool pixels it paints, its frame and what it shows.
-
-        What it shows are rgb, depth and region, as :meth:`inpaint` takes them, at the size that the networks see. A
-        window far from all readings shows ``spare`` (H, W) metres, what the geometric branch painted, instead; it may
-        be a call that makes it.
-        """
-        side, found = self.config.window, []
-        for window, pixels in choose_windows(region):
-            inner = fit_frame((window.side, window.side), (side, side))
-            read = inner.into(window.cut(depth))
-            if not read.any():  # every reading is in some cell: there is none
-                read = inner.into(window.cut(spare() if callable(spare) else spare))
-            found.append((window, pixels, inner, (inner.into(window.cut(rgb)), read, inner.into(window.cut(region)))))
-        return found
 
     def look(
         self,

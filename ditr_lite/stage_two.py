@@ -124,8 +124,12 @@ def paint(
 
 def encode_picture(painter: Painter, image: Tensor, rgb: Tensor) -> list[Tensor]:
     """Return F(x): the conditioning image (B, 9, H, W) and pretrained features of rgb (B, 3, H, W), level by level."""
-    colour = [] if painter.encoder is None else painter.encoder(_cl(rgb))[1:]  # strides 4, 8, 16
-    return painter.net.features(_cl(image), colour)
+    return painter.net.features(_cl(image), colour_features(painter.encoder, rgb))
+
+
+def colour_features(encoder: nn.Module | None, rgb: Tensor) -> list[Tensor]:
+    """Return pretrained features of pictures (B, 3, H, W) at strides 4, 8 and 16; none without an encoder."""
+    return [] if encoder is None else encoder(_cl(rgb), levels=4)[1:]
 
 
 def denoise(

@@ -188,3 +188,17 @@ def load_parts(path: Path | str | None = None, name: str | None = None) -> tuple
     names += ["encoder"] if config.unet.colour_channels else []
     names += ["detail"] if config.detail.width else []
     return config, {part: load_part(part, path) for part in names}
+
+
+def usable_device(name: str | torch.device) -> torch.device:
+    """Return a device of torch by its name.
+
+    Raises:
+        ValueError: when it is not there, or cannot be used.
+    """
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError, TypeError) as error:
+        raise ValueError(f"device {name!r} cannot be used here ({str(error).splitlines()[0]}); choose 'cpu'") from None
+    return device

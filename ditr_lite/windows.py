@@ -273,6 +273,35 @@ def choose_windows(region: np.ndarray, most: int = MOST) -> list[tuple[Window, n
     return [(square(box, region.shape), _of(labels, box, blobs)) for box, blobs in zip(boxes, members, strict=True)]
 
 
+def close_ups(
+    rgb: np.ndarray,
+    depth: np.ndarray,
+    region: np.ndarray,
+    side: int,
+    spare: np.ndarray | Callable[[], np.ndarray],
+) -> list[tuple[Window, np.ndarray, Frame, tuple[np.ndarray, ...]]]:
+    """Return the windows of a region: each with the (H, W) bool pixels it paints, its frame and what it shows.
+
+    What it shows are rgb, depth and region, cut out and brought to ``side`` x ``side`` pixels. A window far from all
+    readings shows ``spare`` instead of ``depth``.
+
+    Args:
+        rgb: (H, W, 3) uint8.
+        depth: (H, W) float32 metres, clean.
+        region: (H, W) bool.
+        side: of what the networks see, pixels.
+        spare: (H, W) metres, dense, such as the geometric branch paints, or a call that makes it.
+    """
+    found = []
+    for window, pixels in choose_windows(region):
+        inner = fit_frame((window.side, window.side), (side, side))
+        read = inner.into(window.cut(depth))
+        if not read.any():  # every reading is in some cell: there is none
+            read = inner.into(window.cut(spare() if callable(spare) else spare))
+        found.append((window, pixels, inner, (inner.into(window.cut(rgb)), read, inner.into(window.cut(region)))))
+    return found
+
+
 def _of(labels: np.ndarray, box: np.ndarray, blobs: list[int]) -> np.ndarray:
     """Return (H, W) bool of some blobs; outside their box nothing is written, so that it takes no memory there."""
     pixels = np.zeros(labels.shape, bool)

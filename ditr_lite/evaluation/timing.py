@@ -30,7 +30,7 @@ from ..training import recipes
 from ..training.parts import painter_of
 from ..training.scenes import Pool, load_scenes
 from ..units import clean_depth
-from ..windows import fit_frame
+from ..windows import close_ups, fit_frame
 from .costs import count_flops
 
 MIN_RUNS = 5
@@ -188,7 +188,11 @@ def views_of(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray)
     whole = [tuple(frame.into(image) for image in (rgb, depth, region))]
     guides = Plan().guides
     found = {"geometric": ditr.look(whole, guides[1], False)[0]}
-    close = [shown for *_, shown in ditr.close_ups(rgb, depth, region, depth)] if ditr.config.window else whole
+    close = (
+        [shown for *_, shown in close_ups(rgb, depth, region, ditr.config.window, depth)]
+        if ditr.config.window
+        else whole
+    )
     if close:
         found["optical"] = ditr.look(close, guides[0], bool(ditr.config.window))[0]
     return found

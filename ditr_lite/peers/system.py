@@ -14,7 +14,7 @@ from torch import nn
 from ..conditioning import CHANNELS, Bounds
 from ..config import Config, from_dict
 from ..pipeline import Ditr, build
-from ..stage_two import BRANCHES, Plan, Views
+from ..stage_two import BRANCHES, Plan, Views, colour_features
 from ..store import load_part, read_card
 from ..unet import DenoisingUNet
 from .ideas import IDEAS, Idea, RgbOnly, build_idea
@@ -37,7 +37,7 @@ class PeerSystem(Ditr):
         self, target: int, views: Views, bounds: Bounds, steps: int, samples: int, seed: int, plan: Plan
     ) -> tuple[np.ndarray, np.ndarray]:
         """Paint views: metres and their spread, which is 0, (B, h, w) each."""
-        colour = self.parts["encoder"](views.rgb)[1:] if "encoder" in self.parts else []
+        colour = colour_features(self.parts["encoder"] if "encoder" in self.parts else None, views.rgb)
         metres = self.parts["idea"].metres(views, colour, bounds)
         metres = torch.maximum(metres.float(), 0.5 * bounds.low)[:, 0].numpy()  # positive, as DITR's
         return metres, np.zeros_like(metres)

@@ -35,7 +35,7 @@ from ..files import write_json
 from ..metrics import rmse
 from ..pipeline import build
 from ..schedule import make_schedule
-from ..stage_two import BRANCHES, Painter, Views
+from ..stage_two import BRANCHES, Painter, Views, colour_features
 from ..store import WEIGHTS, copy_part, read_card, save_part
 from ..training import recipes
 from ..training.batches import Batch
@@ -255,10 +255,8 @@ def score_idea(idea: Idea, encoder: nn.Module | None, drawn: tuple[str, Batch], 
     """Score what an idea makes of a batch."""
     branch, batch = drawn
     views, paint = shown_views(branch, batch)
-    colour = []
-    if encoder is not None:
-        with torch.no_grad():
-            colour = encoder(recipes.cl(batch.rgb))[1:]
+    with torch.no_grad():
+        colour = colour_features(encoder, batch.rgb)
     return idea.losses(views, colour, batch, paint)
 
 

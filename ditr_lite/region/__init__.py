@@ -2,26 +2,22 @@
 
 from .encoder import ColourEncoder
 from .network import (
-    COLOUR_ENCODERS,
     IGNORE,
-    BoundaryRefinement,
     CrossModalFusion,
     Encoder,
-    PretrainedPyramid,
     RegionNet,
+    level_widths,
     refine_region,
     region_probability,
 )
 
 __all__ = [
-    "BoundaryRefinement",
-    "COLOUR_ENCODERS",
     "ColourEncoder",
     "CrossModalFusion",
     "Encoder",
     "IGNORE",
-    "PretrainedPyramid",
     "RegionNet",
+    "level_widths",
     "refine_region",
     "region_probability",
 ]

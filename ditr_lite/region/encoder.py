@@ -1,17 +1,19 @@
-"""The colour encoder: the first half of EfficientNet-Lite0 as ImageNet left it, with batch normalisation folded in.
+"""The colour encoder: most of EfficientNet-Lite0 as ImageNet left it, with batch normalisation folded in.
 
 Not in the paper, which trains TROSNet on real pictures of glass; rendered scenes are too few to learn colour from.
-Tan & Le 2019 (EfficientNet), the "Lite0" variant: no squeeze-and-excitation, ReLU6. Only the stages up to stride 16 are
-kept, 0.8 million parameters. The weights are Google's, under the Apache licence 2.0 (see ``weights/NOTICE``).
+Tan & Le 2019 (EfficientNet), the "Lite0" variant: no squeeze-and-excitation, ReLU6. Kept are the stages
+up to stride 16, 0.7 million parameters, which stage two sees, too, and two of four blocks at stride 32, as many again.
+The weights are Google's, under the Apache licence 2.0 (see ``weights/NOTICE``).
 """
 
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 # kernel, stride, expansion, channels, repeats of each stage
-STAGES = ((3, 1, 1, 16, 1), (3, 2, 6, 24, 2), (5, 2, 6, 40, 2), (3, 2, 6, 80, 3), (5, 1, 6, 112, 3))
+STAGES = ((3, 1, 1, 16, 1), (3, 2, 6, 24, 2), (5, 2, 6, 40, 2), (3, 2, 6, 80, 3), (5, 1, 6, 112, 3), (5, 2, 6, 192, 2))
 STEM = 32
-CHANNELS = (16, 24, 40, 112)  # of the pyramid at strides 2, 4, 8, 16
+CHANNELS = (16, 24, 40, 112, 192)  # of the pyramid at strides 2, 4, 8, 16, 32
+LAST_STAGE = (0, 1, 2, 4, 5)  # of each level
 
 
 class SameConv(nn.Conv2d):
@@ -49,25 +51,29 @@ class InvertedResidual(nn.Module):
 
 
 class ColourEncoder(nn.Module):
-    """Turn a picture into a pyramid of features at strides 2, 4, 8 and 16, with :data:`CHANNELS` channels."""
+    """Turn a picture into a pyramid of features at up to five strides, 2, 4, 8, ..., with :data:`CHANNELS` channels."""
 
-    def __init__(self):
+    def __init__(self, levels: int = len(CHANNELS)):
         super().__init__()
         self.stem = SameConv(3, STEM, 3, 2)
         self.stages = nn.ModuleList()
         width = STEM
-        for kernel, stride, expansion, channels, repeats in STAGES:
+        for kernel, stride, expansion, channels, repeats in STAGES[: LAST_STAGE[levels - 1] + 1]:
             blocks = []
             for i in range(repeats):
                 blocks.append(InvertedResidual(width, channels, kernel, 1 if i else stride, expansion))
                 width = channels
             self.stages.append(nn.Sequential(*blocks))
 
-    def forward(self, rgb: Tensor) -> list[Tensor]:
-        """Map (B, 3, H, W) in [-1, 1], H and W multiples of 16, to (B, CHANNELS[k], H / 2^(k+1), W / 2^(k+1))."""
+    def forward(self, rgb: Tensor, levels: int = len(CHANNELS)) -> list[Tensor]:
+        """Map (B, 3, H, W) in [-1, 1], H and W multiples of 2^levels, to (B, CHANNELS[k], H / 2^(k+1), W / 2^(k+1)).
+
+        ``levels`` says how many of them are wanted; what is behind is not computed.
+        """
         x = F.relu6(self.stem(rgb))
-        outputs = []
-        for stage in self.stages:
+        pyramid = []
+        for k, stage in enumerate(self.stages[: LAST_STAGE[levels - 1] + 1]):
             x = stage(x)
-            outputs.append(x)
-        return [outputs[0], outputs[1], outputs[2], outputs[4]]
+            if k in LAST_STAGE:
+                pyramid.append(x)
+        return pyramid

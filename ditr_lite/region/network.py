@@ -34,17 +34,22 @@ def _resize(x: Tensor, like: Tensor) -> Tensor:
     return F.interpolate(x, size=like.shape[-2:], mode="bilinear", align_corners=False)
 
 
+def level_widths(width: int, levels: int) -> list[int]:
+    """Return the channels of each level: they double down to stride 16 and stay from there on."""
+    return [width * 2 ** min(k, 3) for k in range(levels)]
+
+
 class Encoder(nn.Module):
-    """Turn one modality into a pyramid at strides 2, 4, 8, ...; width doubles at every level."""
+    """Turn one modality into a pyramid at strides 2, 4, 8, ...; for the widths see :func:`level_widths`."""
 
     def __init__(self, channels_in: int, width: int, levels: int):
         super().__init__()
-        widths = [channels_in, *(width * 2**k for k in range(levels))]
+        widths = [channels_in, *level_widths(width, levels)]
         self.down = nn.ModuleList(_conv(a, b, stride=2) for a, b in zip(widths[:-1], widths[1:], strict=True))
         self.refine = nn.ModuleList(_conv(b, b) for b in widths[1:])
 
     def forward(self, x: Tensor) -> list[Tensor]:
-        """Return features (B, width 2^k, H/2^(k+1), W/2^(k+1)) for k = 0, 1, ..."""
+        """Return features (B, widths[k], H/2^(k+1), W/2^(k+1)) for k = 0, 1, ..."""
         pyramid = []
         for down, refine in zip(self.down, self.refine, strict=True):
             x = down(x)
@@ -60,13 +65,13 @@ class PretrainedPyramid(nn.Module):
         super().__init__()
         if channels_in != 3 or levels > len(CHANNELS):
             raise ValueError(f"the pretrained encoder sees 3 channels at up to {len(CHANNELS)} levels, got {levels}")
-        self.encoder = ColourEncoder()
-        self.project = nn.ModuleList(nn.Conv2d(c, width * 2**k, 1) for k, c in enumerate(CHANNELS[:levels]))
+        self.encoder = ColourEncoder(levels)
+        pairs = zip(CHANNELS, level_widths(width, levels), strict=False)
+        self.project = nn.ModuleList(nn.Conv2d(c, w, 1) for c, w in pairs)
 
     def forward(self, x: Tensor) -> list[Tensor]:
-        """Return features (B, width 2^k, H/2^(k+1), W/2^(k+1)) for k = 0, 1, ..."""
-        pyramid = self.encoder(x)
-        return [project(level) for project, level in zip(self.project, pyramid, strict=False)]
+        """Return features (B, widths[k], H/2^(k+1), W/2^(k+1)) for k = 0, 1, ..."""
+        return [project(level) for project, level in zip(self.project, self.encoder(x), strict=True)]
 
 
 COLOUR_ENCODERS = {"pretrained": PretrainedPyramid, "scratch": Encoder}
@@ -108,6 +113,26 @@ class BoundaryRefinement(nn.Module):
         return decoded + torch.sigmoid(boundary) * self.correct(seen), boundary
 
 
+class PixelCorrection(nn.Module):
+    """Correct the class logits at full resolution, where one pixel along an outline is much of a small thing.
+
+    Not in the paper. Sees the frame itself beside the decoded features; begins by changing nothing.
+    """
+
+    def __init__(self, channels: int, fine: int, classes: int):
+        super().__init__()
+        self.see = _conv(5, fine)
+        self.join = _conv(channels + fine, fine)
+        self.correct = nn.Conv2d(fine, classes, 1)
+        nn.init.zeros_(self.correct.weight)
+        nn.init.zeros_(self.correct.bias)
+
+    def forward(self, frame: Tensor, decoded: Tensor) -> Tensor:
+        """Map the frame (B, 5, H, W) and features (B, C, h, w) to what is added to the logits, (B, classes, H, W)."""
+        seen = self.see(frame)
+        return self.correct(self.join(torch.cat([_resize(decoded, frame), seen], dim=1)))
+
+
 class RegionNet(nn.Module):
     """Classify every pixel as background, transparent or reflective from RGB and raw depth.
 
@@ -119,21 +144,19 @@ class RegionNet(nn.Module):
 
     def __init__(self, config: RegionConfig):
         super().__init__()
-        if config.levels < 2 or config.width < 1 or config.classes < 2:
-            raise ValueError(f"expected levels >= 2, width >= 1, classes >= 2; got {config}")
-        widths = [config.width * 2**k for k in range(config.levels)]
+        widths = level_widths(config.width, config.levels)
         self.config = config
         self.encoder_rgb = COLOUR_ENCODERS[config.colour](3, config.width, config.levels)
         self.encoder_depth = Encoder(2, config.width, config.levels)
         self.fusion = nn.ModuleList(CrossModalFusion(c) for c in widths)
         self.context = _conv(widths[-1], widths[-1], dilation=2)
-        pairs = zip(widths[:-1], widths[1:], strict=True)  # (fine, coarse) channels of neighbouring levels
-        finer = list(pairs)[::-1]  # coarse levels first
+        finer = list(zip(widths[:-1], widths[1:], strict=True))[::-1]  # (fine, coarse) channels, coarse levels first
         self.lateral = nn.ModuleList(nn.Conv2d(coarse, fine, 1) for fine, coarse in finer)
         self.decode = nn.ModuleList(_conv(fine, fine) for fine, _ in finer)
         self.side = nn.ModuleList(nn.Conv2d(c, config.classes, 1) for c in reversed(widths[1:]))
         self.boundary = BoundaryRefinement(widths[0])
         self.classify = nn.Conv2d(widths[0], config.classes, 1)
+        self.correction = PixelCorrection(widths[0], config.fine, config.classes) if config.fine else None
 
     def forward(self, rgb: Tensor, depth_n: Tensor, valid: Tensor) -> dict[str, Any]:
         """Return class and boundary logits.
@@ -150,16 +173,16 @@ class RegionNet(nn.Module):
         Raises:
             ValueError: when the shapes do not fit together.
         """
-        batch, _, height, width = rgb.shape if rgb.ndim == 4 else (0, 0, 0, 0)
-        one = (batch, 1, height, width)
+        one = (len(rgb), 1, *rgb.shape[2:])
         if rgb.ndim != 4 or rgb.shape[1] != 3 or depth_n.shape != one or valid.shape != one:
             raise ValueError(
                 "expected rgb (B, 3, H, W) with depth_n and valid (B, 1, H, W); "
                 f"got {tuple(rgb.shape)}, {tuple(depth_n.shape)}, {tuple(valid.shape)}"
             )
         valid = valid.to(rgb.dtype)
+        frame = torch.cat([rgb, depth_n * valid, valid], dim=1)  # (B, 5, H, W)
         levels_rgb = self.encoder_rgb(rgb)
-        levels_depth = self.encoder_depth(torch.cat([depth_n * valid, valid], dim=1))
+        levels_depth = self.encoder_depth(frame[:, 3:])
         fused = [fuse(r, d) for fuse, r, d in zip(self.fusion, levels_rgb, levels_depth, strict=True)]
         x = fused[-1] + self.context(fused[-1])
         side = []
@@ -167,7 +190,10 @@ class RegionNet(nn.Module):
             side.append(out(x))
             x = decode(_resize(lateral(x), fine) + fine)
         x, boundary = self.boundary(x, fused[0])
-        return {"logits": _resize(self.classify(x), rgb), "side": side, "boundary": _resize(boundary, rgb)}
+        logits = _resize(self.classify(x), rgb)
+        if self.correction is not None:
+            logits = logits + self.correction(frame, x)
+        return {"logits": logits, "side": side, "boundary": _resize(boundary, rgb)}
 
 
 def region_probability(outputs: dict[str, Any]) -> Tensor:

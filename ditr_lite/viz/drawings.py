@@ -12,6 +12,7 @@ from matplotlib.patches import FancyBboxPatch
 
 from ..conditioning import CHANNELS as CONDITIONS
 from ..config import AutoencoderConfig, Config, RegionConfig, UNetConfig, preset
+from ..region import level_widths
 from .panels import DPI, GREY, OKABE_ITO, Picture
 
 __all__ = ["NOTEBOOKS", "autoencoder", "stage_one", "system", "unet"]
@@ -207,10 +208,10 @@ def _bus(ax: Axes, x: float, sources: Sequence[tuple], targets: Sequence[tuple])
 
 
 def stage_one(config: RegionConfig | None = None, size: tuple[int, int] | None = None) -> Picture:
-    """Draw stage one: two encoders, fusion at every level, the decoder with its side outputs, boundary refinement.
+    """Draw stage one: two encoders, fusion at every level, the decoder with its side outputs, and what sharpens.
 
     Args:
-        config: of stage one, 2 to 4 levels; the shipped one by default.
+        config: of stage one, 2 to 5 levels; the shipped one by default.
         size: (height, width) of the picture, pixels; the shipped working size by default.
 
     Raises:
@@ -218,21 +219,23 @@ def stage_one(config: RegionConfig | None = None, size: tuple[int, int] | None =
     """
     config, (height, width) = config or preset("lite").region, size or preset("lite").size
     levels = config.levels
-    if not 2 <= levels <= 4:
-        raise ValueError(f"expected 2 to 4 levels, got {levels}: the sheet has no room for others")
-    figure, ax = _sheet(456)
+    if not 2 <= levels <= 5:
+        raise ValueError(f"expected 2 to 5 levels, got {levels}: the sheet has no room for others")
+    figure, ax = _sheet(540 if config.fine else 456)
     rows = {"colour": 84, "fusion": 162, "depth": 240, "decoder": 344}
-    columns = [220 + 164 * k for k in range(levels)]
-    shapes = [_shape(config.width * 2**k, height, width, 2 ** (k + 1)) for k in range(levels)]
-    names = {"colour": "colour encoder", "fusion": "fusion", "depth": "depth encoder", "decoder": "decoder"}
+    step = min(164, 656 // levels)
+    columns = [204 + step * k for k in range(levels)]
+    widths = level_widths(config.width, levels)
+    shapes = [_shape(channels, height, width, 2 ** (k + 1)) for k, channels in enumerate(widths)]
+    names = {"colour": "encoder", "fusion": "fusion", "depth": "encoder", "decoder": "decoder"}
     grid = {}
     for row, y in rows.items():
         for k, (x, shape) in enumerate(zip(columns, shapes, strict=True)):
             name = "context" if row == "decoder" and k == levels - 1 else names[row]
-            grid[row, k] = Box(x, y, 136, 50, f"{name}\n{shape}")
+            grid[row, k] = Box(x, y, step - 26, 50, f"{name}\n{shape}")
     inputs = {
-        "colour": Box(64, rows["colour"], 116, 50, f"colour\n3 × {height} × {width}"),
-        "depth": Box(64, rows["depth"], 116, 50, f"depth, valid\n2 × {height} × {width}"),
+        "colour": Box(70, rows["colour"], 110, 50, f"colour\n3 × {height} × {width}"),
+        "depth": Box(70, rows["depth"], 110, 50, f"depth, valid\n2 × {height} × {width}"),
     }
     for k, x in enumerate(columns):
         _write(ax, x, 38, f"stride {2 ** (k + 1)}", style="italic")
@@ -242,7 +245,7 @@ def stage_one(config: RegionConfig | None = None, size: tuple[int, int] | None =
         _draw(ax, box, LIT if row == "fusion" else WORK)
     for box in inputs.values():
         _draw(ax, box, DATA)
-    _heads_of_stage_one(ax, grid, config, levels)
+    _heads_of_stage_one(ax, grid, inputs, config, levels)
     return figure
 
 
@@ -265,18 +268,27 @@ def _connect_stage_one(ax: Axes, grid: Mapping[tuple, Box], inputs: Mapping[str,
             _arrow(ax, grid["decoder", k + 1].left, grid["decoder", k].right, colour=BLUE)
 
 
-def _heads_of_stage_one(ax: Axes, grid: Mapping[tuple, Box], config: RegionConfig, levels: int) -> None:
-    """Draw what comes out: side outputs below, boundary refinement and classes at the left."""
+def _heads_of_stage_one(
+    ax: Axes, grid: Mapping[tuple, Box], inputs: Mapping[str, Box], config: RegionConfig, levels: int
+) -> None:
+    """Draw what comes out: side outputs below; boundary refinement, classes and their correction at the left."""
     for k in range(1, levels):
         box = grid["decoder", k]
         place = (box.x, box.bottom[1] + 28)
         _arrow(ax, box.bottom, place, colour=ORANGE)
-        _write(ax, box.x, place[1] + 10, f"side output, {config.classes} classes")
-    sharpen = Box(64, grid["decoder", 0].y, 116, 67, f"boundary\nrefinement,\n{config.classes} classes")
-    _arrow(ax, grid["decoder", 0].left, sharpen.right, colour=BLUE)
-    _draw(ax, sharpen, WORK)
-    merged = Box(64, 434, 116, 33, "P(region)")
-    _arrow(ax, sharpen.bottom, merged.top, colour=BLUE)
+        _write(ax, box.x, place[1] + 10, f"side, {config.classes} classes")
+    last = Box(70, grid["decoder", 0].y, 110, 67, f"boundary\nrefinement,\n{config.classes} classes")
+    _arrow(ax, grid["decoder", 0].left, last.right, colour=BLUE)
+    _draw(ax, last, WORK)
+    if config.fine:
+        correction = Box(70, last.bottom[1] + 54, 110, 50, f"+ correction\n{config.classes} classes")
+        _arrow(ax, last.bottom, correction.top, colour=BLUE)
+        _bus(ax, 7, [box.left for box in inputs.values()], [correction.left])
+        _draw(ax, correction, WORK)
+        _write(ax, correction.right[0] + 6, correction.y, "sees the frame itself, pixel by pixel", ha="left")
+        last = correction
+    merged = Box(70, last.bottom[1] + 57, 110, 33, "P(region)")
+    _arrow(ax, last.bottom, merged.top, colour=BLUE)
     _draw(ax, merged, DATA)
     _write(ax, merged.right[0] + 6, merged.y, "= P(transparent) + P(reflective), at every pixel", ha="left")
 

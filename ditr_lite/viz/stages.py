@@ -28,7 +28,7 @@ def frame_and_windows(image: np.ndarray, region: np.ndarray, close: Sequence[Clo
     Args:
         image: (H, W, 3) uint8.
         region: (H, W) bool.
-        close: as :meth:`pipeline.Ditr.close_ups` returns it.
+        close: as :func:`windows.close_ups` returns it.
     """
     across = max(1, len(close))
     figure = Picture(min(12.0, 3.6 + 2.4 * across), 2.7)

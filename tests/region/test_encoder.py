@@ -35,6 +35,9 @@ def test_at_stride_two_the_odd_pixel_lies_to_the_right_and_below():
 def test_the_pyramid_has_the_promised_sizes_and_blocks_add_their_input_where_they_can():
     shapes = [tuple(f.shape) for f in ColourEncoder()(torch.zeros(1, 3, 32, 64))]
     assert shapes == [(1, c, 16 // 2**k, 32 // 2**k) for k, c in enumerate(CHANNELS)]
+    few = ColourEncoder(3)
+    assert len(few.stages) == 3 and [f.shape[1] for f in few(torch.zeros(1, 3, 32, 64))] == [16, 24, 40]
+    assert len(ColourEncoder()(torch.zeros(1, 3, 32, 64), levels=4)) == 4
     block = InvertedResidual(4, 4, 3, 1, 6)
     torch.nn.init.zeros_(block.project.weight)
     torch.nn.init.zeros_(block.project.bias)

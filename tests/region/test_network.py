@@ -6,14 +6,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ditr_lite.config import RegionConfig, preset
-from ditr_lite.region import (
-    COLOUR_ENCODERS,
-    BoundaryRefinement,
-    CrossModalFusion,
-    RegionNet,
-    refine_region,
-    region_probability,
-)
+from ditr_lite.region import CrossModalFusion, RegionNet, level_widths, refine_region, region_probability
+from ditr_lite.region.network import COLOUR_ENCODERS, BoundaryRefinement
 
 TINY = preset("tiny").region
 
@@ -91,8 +85,28 @@ def test_the_lite_preset_keeps_its_budget():
     net = RegionNet(preset("lite").region).eval()
     with FlopCounterMode(display=False) as counter, torch.no_grad():
         net(*frame(1, 192, 256))
-    assert counter.get_total_flops() <= 1.3e9
-    assert sum(p.numel() for p in net.parameters()) <= 1_300_000  # 0.8 million of them pretrained
+    assert counter.get_total_flops() <= 2.1e9
+    assert sum(p.numel() for p in net.parameters()) <= 2_500_000  # 1.4 million of them pretrained
+
+
+def test_the_correction_begins_at_nothing_and_sees_single_pixels():
+    torch.manual_seed(0)
+    net = RegionNet(RegionConfig(width=8, levels=3, fine=8, colour="scratch")).eval()
+    rgb, depth, valid = frame(1, 32, 64)
+    plain = RegionNet(RegionConfig(width=8, levels=3, colour="scratch")).eval()
+    plain.load_state_dict({k: v for k, v in net.state_dict().items() if not k.startswith("correction")})
+    with torch.no_grad():
+        assert torch.equal(net(rgb, depth, valid)["logits"], plain(rgb, depth, valid)["logits"])
+        torch.nn.init.normal_(net.correction.correct.weight)
+        before = net(rgb, depth, valid)["logits"]
+        depth = depth.clone()
+        depth[0, 0, 9, 9] += 100  # one reading
+        changed = (net(rgb, depth, valid)["logits"] - before).abs().sum(dim=1)[0]
+    assert changed[9, 9] > 10 * changed[9, 40]
+
+
+def test_levels_below_stride_16_are_no_wider():
+    assert level_widths(16, 5) == [16, 32, 64, 128, 128] and level_widths(8, 2) == [8, 16]
 
 
 def test_a_pretrained_encoder_has_the_widths_of_the_other_one():
@@ -100,8 +114,8 @@ def test_a_pretrained_encoder_has_the_widths_of_the_other_one():
     rgb = torch.randn(1, 3, 32, 64)
     pretrained, scratch = (COLOUR_ENCODERS[kind](3, 8, 3)(rgb) for kind in ("pretrained", "scratch"))
     assert [f.shape for f in pretrained] == [f.shape for f in scratch]
-    with pytest.raises(ValueError, match="at up to 4 levels, got 5"):
-        COLOUR_ENCODERS["pretrained"](3, 8, 5)
+    with pytest.raises(ValueError, match="at up to 5 levels, got 6"):
+        COLOUR_ENCODERS["pretrained"](3, 8, 6)
 
 
 # ---- refinement (S2)

@@ -69,7 +69,7 @@ def unfolded(state, x, eps=1e-3):
             x = block(f"_blocks.{index}", x, kernel, 1 if i else stride, expansion)
             index += 1
         outputs.append(x)
-    return [outputs[0], outputs[1], outputs[2], outputs[4]]
+    return [outputs[0], outputs[1], outputs[2], outputs[4], outputs[5]]
 
 
 def test_folded_weights_compute_what_convolutions_and_batch_norms_did():

@@ -18,6 +18,7 @@ COLUMN = 736  # pixels, the width of the book's column
 DRAWN = {
     "system": drawings.system("06"),
     "stage one": drawings.stage_one(),
+    "four levels": drawings.stage_one(config.RegionConfig()),
     "tiny stage one": drawings.stage_one(config.preset("tiny").region, (64, 96)),
     "autoencoder": drawings.autoencoder(),
     "one level": drawings.autoencoder(config.AutoencoderConfig(multipliers=(1,))),
@@ -94,7 +95,7 @@ def test_shapes_of_stage_one_are_those_of_the_network():
     rgb, depth = torch.zeros(1, 3, 192, 256), torch.zeros(1, 1, 192, 256)
     drawn = said(drawings.stage_one())
     assert all(drawn.count(shape) == 4 for shape in shapes(net.encoder_rgb(rgb)))
-    assert drawn.count("side output, 3 classes") == len(net(rgb, depth, depth)["side"])
+    assert drawn.count("side, 3 classes") == len(net(rgb, depth, depth)["side"])
 
 
 def test_shapes_of_the_autoencoder_are_those_of_the_network():
@@ -128,7 +129,7 @@ def test_shapes_of_the_u_net_are_those_of_the_network():
 @pytest.mark.parametrize(
     ("draw", "message"),
     [
-        (lambda: drawings.stage_one(config.RegionConfig(levels=5, colour="scratch")), "2 to 4 levels, got 5"),
+        (lambda: drawings.stage_one(config.RegionConfig(levels=6, colour="scratch")), "2 to 5 levels, got 6"),
         (lambda: drawings.autoencoder(config.AutoencoderConfig(multipliers=(1, 1, 1, 1))), "at most 3 levels, got 4"),
         (lambda: drawings.unet(config.UNetConfig(multipliers=(1, 2, 4))), "expected 4 levels, got 3"),
     ],
