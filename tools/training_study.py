@@ -45,7 +45,7 @@ from ditr_lite.training import adapt, boundary, loop, parts, readers, scenes
 ROOT = Path(__file__).resolve().parents[1]
 DEFAULT = "default"  # the sensor drawn at random for every scene, as the shipped scenes are
 SENSOR = "l515"  # the one on which the shipped weights lose most: `sensors`
-PARTS = ("optical", "geometric", "detail")
+PARTS = ("optical", "detail")  # which gained on the frames that choose; the geometric branch lost there
 LEARNING, CHOOSING = 300_000, 310_000  # first seeds of frames that no other command renders
 HELD_OUT = 16  # frames that choose when to stop and what to keep; those of the later seeds judge
 HARM = 0.02  # of the error at home that a gain elsewhere may cost

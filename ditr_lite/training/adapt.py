@@ -35,11 +35,12 @@ from .parts import (
 from .scenes import Pool, Scenes, checksum, every
 
 GENTLE = {"warmup": 10, "decay": 0.98, "ramp": False, "patience": 4, "law": "constant"}
+BRISK = GENTLE | {"batch": 4, "decay": 0.95}  # for parts that follow a new sensor in some hundred views
 RECIPES = {
     "region": Recipe(steps=300, batch=8, lr=1e-4, weight_decay=1e-2, **GENTLE),
-    "optical": Recipe(steps=300, batch=8, lr=1e-4, **GENTLE),
+    "optical": Recipe(steps=160, lr=3e-4, **BRISK),
     "geometric": Recipe(steps=300, batch=8, lr=1e-4, **GENTLE),
-    "detail": Recipe(steps=300, batch=8, lr=2e-4, **GENTLE),
+    "detail": Recipe(steps=120, lr=5e-4, **BRISK),
 }
 EVERY = 20  # steps between looks at the held-out frames
 LEAST = 3  # held-out frames: one chooses, two judge
