@@ -58,7 +58,7 @@ def tuned(monkeypatch, tmp_path):
         return sorted((SAMPLES / split).iterdir())[:count]
 
     def adapt(part, config, pool, held_out, start, out, work, recipe):
-        out.mkdir(exist_ok=True)
+        out.mkdir(parents=True, exist_ok=True)
         (out / f"{part}.safetensors").write_bytes(b"")
         seen["choose"], seen["learn"], seen["recipe"] = held_out.names, pool.groups[0].names, recipe
         return {"judged": {"kept": "fine-tuned"}, "best_step": 20, "recipe": vars(recipe)}
@@ -97,3 +97,11 @@ def test_fine_tuning_is_told_in_words(tuned):
     assert "harmed by more than 2 % (1.030 [1.010, 1.050]" in lines[-1] and "not harmed" not in lines[-1]
     tuned[0]["test"]["ratio"]["whole"] = (1.019, 0.9, 1.1)
     assert "whole: not harmed by more than 2 %" in study.outcome("l515", tuned[0])[-3]
+
+
+def test_other_weights_or_settings_are_tuned_in_another_folder(monkeypatch):
+    one = study.key_of({"learn": ["a"]}, study.adapt.RECIPES)
+    assert one == study.key_of({"learn": ["a"]}, study.adapt.RECIPES) and len(one) == 12
+    assert one != study.key_of({"learn": ["b"]}, study.adapt.RECIPES)
+    monkeypatch.setattr(study, "read_card", lambda folder: {"parts": {"optical": {"sha256": "other"}}})
+    assert one != study.key_of({"learn": ["a"]}, study.adapt.RECIPES)

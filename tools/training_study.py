@@ -15,8 +15,9 @@ cost       the model of the time, fitted to small steps, on a size that was left
 """
 
 import argparse
+import hashlib
+import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -39,7 +40,7 @@ from ditr_lite.evaluation.compare import compare_weights, format_weights
 from ditr_lite.evaluation.statistics import format_interval, paired_bootstrap, verdict
 from ditr_lite.files import write_json
 from ditr_lite.simulator.cameras import PRESETS
-from ditr_lite.store import WEIGHTS, copy_weights, load_part, read_config, sha256
+from ditr_lite.store import WEIGHTS, copy_weights, load_part, read_card, read_config, sha256
 from ditr_lite.training import adapt, boundary, loop, parts, readers, scenes
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -215,17 +216,19 @@ def finetune(options: argparse.Namespace) -> dict:
     Three sets of frames, of seeds that no other command uses: --frames to learn from; :data:`HELD_OUT`, by which
     ``adapt`` chooses when to stop and whether to keep the result, and by which its recipes were chosen; and --judges,
     which chose nothing and are scored once, here. At home the first scenes of the test split judge, all or --limit.
+    What is rendered and trained stays in --work: a stopped run goes on, and new shipped weights are tuned anew.
     """
     sets = three_sets(options)
     learn, choose, judge = (read_scenes(paths) for paths in sets.values())
-    config, out, work = read_config(WEIGHTS), options.work / "tuned", options.work / "tuning"
-    for folder in (out, work):
-        shutil.rmtree(folder, ignore_errors=True)
+    names = {name: [path.name for path in paths] for name, paths in sets.items()}
+    changed = {"steps": options.steps} if options.steps else {}
+    recipes = {part: replace(adapt.RECIPES[part], **changed) for part in options.parts}
+    home = options.work / f"{options.sensor}-{key_of(names, recipes)}"
+    config, out = read_config(WEIGHTS), home / "weights"
     pool = adapt.mixed([learn], [scenes.load_scenes(SAMPLES / "train")], 0.5)
-    found = {"sensor": options.sensor, "sets": {name: [path.name for path in paths] for name, paths in sets.items()}}
-    for part in options.parts:
-        recipe = replace(adapt.RECIPES[part], **({"steps": options.steps} if options.steps else {}))
-        notes = adapt.adapt(part, config, pool, choose, WEIGHTS, out, work, recipe)
+    found = {"sensor": options.sensor, "sets": names}
+    for part, recipe in recipes.items():
+        notes = adapt.adapt(part, config, pool, choose, WEIGHTS, out, home / "training", recipe)
         found[part] = {"kept": notes["judged"]["kept"], "best_step": notes["best_step"], "recipe": notes["recipe"]}
     before, after = (errors_by_part(folder, judge, options.parts) for folder in (WEIGHTS, out))
     for part in options.parts:
@@ -237,6 +240,13 @@ def finetune(options: argparse.Namespace) -> dict:
         print(f"{where}\n{format_weights(found[where], 'shipped', 'fine-tuned')}", flush=True)
     print("\n".join(outcome(options.sensor, found)))
     return found | {"weights": {part: sha256(out / f"{part}.safetensors") for part in options.parts}}
+
+
+def key_of(*settings) -> str:
+    """Return what stands for the shipped weights and for settings in a folder's name."""
+    start = {name: part["sha256"] for name, part in read_card(WEIGHTS)["parts"].items()}
+    told = json.dumps([start, *settings], sort_keys=True, default=vars)
+    return hashlib.sha256(told.encode()).hexdigest()[:12]
 
 
 def read_scenes(paths: Sequence[Path]) -> scenes.Scenes:
