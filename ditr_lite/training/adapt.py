@@ -35,12 +35,11 @@ from .parts import (
 from .scenes import Pool, Scenes, checksum, every
 
 GENTLE = {"warmup": 10, "decay": 0.98, "ramp": False, "patience": 4, "law": "constant"}
-BRISK = GENTLE | {"batch": 4, "decay": 0.95}  # for parts that follow a new sensor in some hundred views
 RECIPES = {
     "region": Recipe(steps=300, batch=8, lr=1e-4, weight_decay=1e-2, **GENTLE),
-    "optical": Recipe(steps=160, lr=3e-4, **BRISK),
+    "optical": Recipe(steps=300, batch=8, lr=1e-4, **GENTLE),
     "geometric": Recipe(steps=300, batch=8, lr=1e-4, **GENTLE),
-    "detail": Recipe(steps=120, lr=5e-4, **BRISK),
+    "detail": Recipe(steps=120, batch=4, lr=5e-4, **GENTLE | {"decay": 0.95}),  # follows a sensor in some hundred views
 }
 EVERY = 20  # steps between looks at the held-out frames
 LEAST = 3  # held-out frames: one chooses, two judge
