@@ -37,7 +37,7 @@ class BoundaryNet(nn.Module):
     def __init__(self, channels_in: int, width: int = WIDTH, levels: int = LEVELS):
         super().__init__()
         widths = [width * 2**k for k in range(levels)]
-        self.encoder = Encoder(channels_in, width, levels)
+        self.encoder = Encoder(channels_in, widths)
         self.decode = nn.ModuleList(_conv(3 * w, w) for w in reversed(widths[:-1]))
         self.last = _conv(width + 4 * channels_in, 2 * width)
         self.out = nn.Conv2d(2 * width, 4, 1)

@@ -37,7 +37,7 @@ class PixelUNet(nn.Module):
     ):
         super().__init__()
         widths = [width * 2**k for k in range(levels)]
-        self.encoder = Encoder(channels_in, width, levels)
+        self.encoder = Encoder(channels_in, widths)
         self.colour = nn.ModuleList(nn.Conv2d(a, b, 1) for a, b in zip(colour_channels, widths[1:], strict=False))
         self.decode = nn.ModuleList(conv(3 * w, w) for w in reversed(widths[:-1]))
         self.last = conv(width + 4 * channels_in, 2 * width)

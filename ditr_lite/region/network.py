@@ -40,11 +40,11 @@ def level_widths(width: int, levels: int) -> list[int]:
 
 
 class Encoder(nn.Module):
-    """Turn one modality into a pyramid at strides 2, 4, 8, ...; for the widths see :func:`level_widths`."""
+    """Turn one modality into a pyramid at strides 2, 4, 8, ..., with ``widths`` channels."""
 
-    def __init__(self, channels_in: int, width: int, levels: int):
+    def __init__(self, channels_in: int, widths: list[int]):
         super().__init__()
-        widths = [channels_in, *level_widths(width, levels)]
+        widths = [channels_in, *widths]
         self.down = nn.ModuleList(_conv(a, b, stride=2) for a, b in zip(widths[:-1], widths[1:], strict=True))
         self.refine = nn.ModuleList(_conv(b, b) for b in widths[1:])
 
@@ -61,13 +61,12 @@ class Encoder(nn.Module):
 class PretrainedPyramid(nn.Module):
     """The colour encoder with its pyramid brought to the widths of the depth encoder's."""
 
-    def __init__(self, channels_in: int, width: int, levels: int):
+    def __init__(self, channels_in: int, widths: list[int]):
         super().__init__()
-        if channels_in != 3 or levels > len(CHANNELS):
-            raise ValueError(f"the pretrained encoder sees 3 channels at up to {len(CHANNELS)} levels, got {levels}")
-        self.encoder = ColourEncoder(levels)
-        pairs = zip(CHANNELS, level_widths(width, levels), strict=False)
-        self.project = nn.ModuleList(nn.Conv2d(c, w, 1) for c, w in pairs)
+        if channels_in != 3 or len(widths) > len(CHANNELS):
+            raise ValueError(f"the pretrained encoder sees colour at up to {len(CHANNELS)} levels, got {len(widths)}")
+        self.encoder = ColourEncoder(len(widths))
+        self.project = nn.ModuleList(nn.Conv2d(c, w, 1) for c, w in zip(CHANNELS, widths, strict=False))
 
     def forward(self, x: Tensor) -> list[Tensor]:
         """Return features (B, widths[k], H/2^(k+1), W/2^(k+1)) for k = 0, 1, ..."""
@@ -146,8 +145,8 @@ class RegionNet(nn.Module):
         super().__init__()
         widths = level_widths(config.width, config.levels)
         self.config = config
-        self.encoder_rgb = COLOUR_ENCODERS[config.colour](3, config.width, config.levels)
-        self.encoder_depth = Encoder(2, config.width, config.levels)
+        self.encoder_rgb = COLOUR_ENCODERS[config.colour](3, widths)
+        self.encoder_depth = Encoder(2, widths)
         self.fusion = nn.ModuleList(CrossModalFusion(c) for c in widths)
         self.context = _conv(widths[-1], widths[-1], dilation=2)
         finer = list(zip(widths[:-1], widths[1:], strict=True))[::-1]  # (fine, coarse) channels, coarse levels first

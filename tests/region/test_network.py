@@ -112,10 +112,10 @@ def test_levels_below_stride_16_are_no_wider():
 def test_a_pretrained_encoder_has_the_widths_of_the_other_one():
     torch.manual_seed(0)
     rgb = torch.randn(1, 3, 32, 64)
-    pretrained, scratch = (COLOUR_ENCODERS[kind](3, 8, 3)(rgb) for kind in ("pretrained", "scratch"))
+    pretrained, scratch = (COLOUR_ENCODERS[kind](3, [8, 16, 32])(rgb) for kind in ("pretrained", "scratch"))
     assert [f.shape for f in pretrained] == [f.shape for f in scratch]
     with pytest.raises(ValueError, match="at up to 5 levels, got 6"):
-        COLOUR_ENCODERS["pretrained"](3, 8, 6)
+        COLOUR_ENCODERS["pretrained"](3, 6 * [8])
 
 
 # ---- refinement (S2)
