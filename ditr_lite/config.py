@@ -28,16 +28,14 @@ class RegionConfig:
 
     width: int = 16  # channels at stride 2; doubled at every further level down to stride 16
     levels: int = 4  # strides 2, 4, 8, 16, ...
-    fine: int = 0  # channels of the correction at full resolution; 0: none
     classes: int = 3  # background, transparent, reflective
     colour: str = "pretrained"  # encoder of the picture: "pretrained" (on ImageNet) or "scratch" (as for depth)
 
     def __post_init__(self) -> None:
         _at_least(1, "region", width=self.width)
         _at_least(2, "region", levels=self.levels, classes=self.classes)
-        _at_least(0, "region", fine=self.fine)
         _at_most(6, "region", levels=self.levels)  # channels double with each: more would not fit into any memory
-        _at_most(WIDEST, "region", width=self.width, fine=self.fine)
+        _at_most(WIDEST, "region", width=self.width)
 
 
 @dataclass(frozen=True)
@@ -203,7 +201,7 @@ PRESETS: dict[str, Config] = {
         detail=DetailConfig(width=8),
     ),
     "lite": Config(
-        region=RegionConfig(levels=5, fine=16),
+        region=RegionConfig(levels=5),
         refine=RefineConfig(  # temperature, as std: on validation scenes
             looks=(1.0, 1.5), mirrored=True, median=3, dilate=3, iterations=1, temperature=1.1635
         ),

@@ -235,8 +235,4 @@ colour goes through an encoder that was trained on real pictures, not on rendere
 N3 | done | 06_full_pipeline | 10 · Decode both branches and sharpen
 detail.DetailNet | test_detail.py::test_propagation_agrees_with_a_loop_over_pixels
 a finer last step: depth spreads from the readings nearby by learnt affinities
-
-N4 | done | 02_region_refinement | 4 · Refine the boundary, and only the boundary
-region.network.PixelCorrection | region/test_network.py::test_the_correction_begins_at_nothing_and_sees_single_pixels
-what stage one says of a pixel is corrected at full size
 """

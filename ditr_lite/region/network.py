@@ -112,26 +112,6 @@ class BoundaryRefinement(nn.Module):
         return decoded + torch.sigmoid(boundary) * self.correct(seen), boundary
 
 
-class PixelCorrection(nn.Module):
-    """Correct the class logits at full resolution, where one pixel along an outline is much of a small thing.
-
-    Not in the paper. Sees the frame itself beside the decoded features; begins by changing nothing.
-    """
-
-    def __init__(self, channels: int, fine: int, classes: int):
-        super().__init__()
-        self.see = _conv(5, fine)
-        self.join = _conv(channels + fine, fine)
-        self.correct = nn.Conv2d(fine, classes, 1)
-        nn.init.zeros_(self.correct.weight)
-        nn.init.zeros_(self.correct.bias)
-
-    def forward(self, frame: Tensor, decoded: Tensor) -> Tensor:
-        """Map the frame (B, 5, H, W) and features (B, C, h, w) to what is added to the logits, (B, classes, H, W)."""
-        seen = self.see(frame)
-        return self.correct(self.join(torch.cat([_resize(decoded, frame), seen], dim=1)))
-
-
 class RegionNet(nn.Module):
     """Classify every pixel as background, transparent or reflective from RGB and raw depth.
 
@@ -155,7 +135,6 @@ class RegionNet(nn.Module):
         self.side = nn.ModuleList(nn.Conv2d(c, config.classes, 1) for c in reversed(widths[1:]))
         self.boundary = BoundaryRefinement(widths[0])
         self.classify = nn.Conv2d(widths[0], config.classes, 1)
-        self.correction = PixelCorrection(widths[0], config.fine, config.classes) if config.fine else None
 
     def forward(self, rgb: Tensor, depth_n: Tensor, valid: Tensor) -> dict[str, Any]:
         """Return class and boundary logits.
@@ -179,9 +158,8 @@ class RegionNet(nn.Module):
                 f"got {tuple(rgb.shape)}, {tuple(depth_n.shape)}, {tuple(valid.shape)}"
             )
         valid = valid.to(rgb.dtype)
-        frame = torch.cat([rgb, depth_n * valid, valid], dim=1)  # (B, 5, H, W)
         levels_rgb = self.encoder_rgb(rgb)
-        levels_depth = self.encoder_depth(frame[:, 3:])
+        levels_depth = self.encoder_depth(torch.cat([depth_n * valid, valid], dim=1))
         fused = [fuse(r, d) for fuse, r, d in zip(self.fusion, levels_rgb, levels_depth, strict=True)]
         x = fused[-1] + self.context(fused[-1])
         side = []
@@ -189,10 +167,7 @@ class RegionNet(nn.Module):
             side.append(out(x))
             x = decode(_resize(lateral(x), fine) + fine)
         x, boundary = self.boundary(x, fused[0])
-        logits = _resize(self.classify(x), rgb)
-        if self.correction is not None:
-            logits = logits + self.correction(frame, x)
-        return {"logits": logits, "side": side, "boundary": _resize(boundary, rgb)}
+        return {"logits": _resize(self.classify(x), rgb), "side": side, "boundary": _resize(boundary, rgb)}
 
 
 def region_probability(outputs: dict[str, Any]) -> Tensor:

@@ -208,7 +208,7 @@ def _bus(ax: Axes, x: float, sources: Sequence[tuple], targets: Sequence[tuple])
 
 
 def stage_one(config: RegionConfig | None = None, size: tuple[int, int] | None = None) -> Picture:
-    """Draw stage one: two encoders, fusion at every level, the decoder with its side outputs, and what sharpens.
+    """Draw stage one: two encoders, fusion at every level, the decoder with its side outputs, boundary refinement.
 
     Args:
         config: of stage one, 2 to 5 levels; the shipped one by default.
@@ -221,7 +221,7 @@ def stage_one(config: RegionConfig | None = None, size: tuple[int, int] | None =
     levels = config.levels
     if not 2 <= levels <= 5:
         raise ValueError(f"expected 2 to 5 levels, got {levels}: the sheet has no room for others")
-    figure, ax = _sheet(540 if config.fine else 456)
+    figure, ax = _sheet(456)
     rows = {"colour": 84, "fusion": 162, "depth": 240, "decoder": 344}
     step = min(164, 656 // levels)
     columns = [204 + step * k for k in range(levels)]
@@ -245,7 +245,7 @@ def stage_one(config: RegionConfig | None = None, size: tuple[int, int] | None =
         _draw(ax, box, LIT if row == "fusion" else WORK)
     for box in inputs.values():
         _draw(ax, box, DATA)
-    _heads_of_stage_one(ax, grid, inputs, config, levels)
+    _heads_of_stage_one(ax, grid, config, levels)
     return figure
 
 
@@ -268,27 +268,18 @@ def _connect_stage_one(ax: Axes, grid: Mapping[tuple, Box], inputs: Mapping[str,
             _arrow(ax, grid["decoder", k + 1].left, grid["decoder", k].right, colour=BLUE)
 
 
-def _heads_of_stage_one(
-    ax: Axes, grid: Mapping[tuple, Box], inputs: Mapping[str, Box], config: RegionConfig, levels: int
-) -> None:
-    """Draw what comes out: side outputs below; boundary refinement, classes and their correction at the left."""
+def _heads_of_stage_one(ax: Axes, grid: Mapping[tuple, Box], config: RegionConfig, levels: int) -> None:
+    """Draw what comes out: side outputs below, boundary refinement and classes at the left."""
     for k in range(1, levels):
         box = grid["decoder", k]
         place = (box.x, box.bottom[1] + 28)
         _arrow(ax, box.bottom, place, colour=ORANGE)
         _write(ax, box.x, place[1] + 10, f"side, {config.classes} classes")
-    last = Box(70, grid["decoder", 0].y, 110, 67, f"boundary\nrefinement,\n{config.classes} classes")
-    _arrow(ax, grid["decoder", 0].left, last.right, colour=BLUE)
-    _draw(ax, last, WORK)
-    if config.fine:
-        correction = Box(70, last.bottom[1] + 54, 110, 50, f"+ correction\n{config.classes} classes")
-        _arrow(ax, last.bottom, correction.top, colour=BLUE)
-        _bus(ax, 7, [box.left for box in inputs.values()], [correction.left])
-        _draw(ax, correction, WORK)
-        _write(ax, correction.right[0] + 6, correction.y, "sees the frame itself, pixel by pixel", ha="left")
-        last = correction
-    merged = Box(70, last.bottom[1] + 57, 110, 33, "P(region)")
-    _arrow(ax, last.bottom, merged.top, colour=BLUE)
+    sharpen = Box(70, grid["decoder", 0].y, 110, 67, f"boundary\nrefinement,\n{config.classes} classes")
+    _arrow(ax, grid["decoder", 0].left, sharpen.right, colour=BLUE)
+    _draw(ax, sharpen, WORK)
+    merged = Box(70, 434, 110, 33, "P(region)")
+    _arrow(ax, sharpen.bottom, merged.top, colour=BLUE)
     _draw(ax, merged, DATA)
     _write(ax, merged.right[0] + 6, merged.y, "= P(transparent) + P(reflective), at every pixel", ha="left")
 

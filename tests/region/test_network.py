@@ -85,24 +85,8 @@ def test_the_lite_preset_keeps_its_budget():
     net = RegionNet(preset("lite").region).eval()
     with FlopCounterMode(display=False) as counter, torch.no_grad():
         net(*frame(1, 192, 256))
-    assert counter.get_total_flops() <= 2.1e9
+    assert counter.get_total_flops() <= 1.5e9
     assert sum(p.numel() for p in net.parameters()) <= 2_500_000  # 1.4 million of them pretrained
-
-
-def test_the_correction_begins_at_nothing_and_sees_single_pixels():
-    torch.manual_seed(0)
-    net = RegionNet(RegionConfig(width=8, levels=3, fine=8, colour="scratch")).eval()
-    rgb, depth, valid = frame(1, 32, 64)
-    plain = RegionNet(RegionConfig(width=8, levels=3, colour="scratch")).eval()
-    plain.load_state_dict({k: v for k, v in net.state_dict().items() if not k.startswith("correction")})
-    with torch.no_grad():
-        assert torch.equal(net(rgb, depth, valid)["logits"], plain(rgb, depth, valid)["logits"])
-        torch.nn.init.normal_(net.correction.correct.weight)
-        before = net(rgb, depth, valid)["logits"]
-        depth = depth.clone()
-        depth[0, 0, 9, 9] += 100  # one reading
-        changed = (net(rgb, depth, valid)["logits"] - before).abs().sum(dim=1)[0]
-    assert changed[9, 9] > 10 * changed[9, 40]
 
 
 def test_levels_below_stride_16_are_no_wider():
