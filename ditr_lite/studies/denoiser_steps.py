@@ -101,8 +101,8 @@ def gradient_error(decoded: Tensor, batch: Batch, where: Tensor) -> Tensor:
     return total / pairs.clamp(min=1)
 
 
+# name -> error of decoded depth, and its weight beside the latent loss
 DECODED = {"depth": (depth_error, 5.0), "edges": (edge_error, 5.0), "gradients": (gradient_error, 20.0)}
-# name -> error of decoded depth, and its weight beside the latent loss: each is then about as large
 
 
 def score_decoded(

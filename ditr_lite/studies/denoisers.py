@@ -27,8 +27,7 @@ from ..training.loop import Recipe, Step, fit, time_steps
 from ..training.parts import held_out_batches, root_mean_square
 from ..training.scenes import Pool, Scenes, checksum, first
 from ..unet import DenoisingUNet
-from . import denoiser_steps as steps_of
-from .denoiser_steps import OrientedUNet
+from .denoiser_steps import OrientedUNet, score_decoded, score_oriented, score_student
 
 TIMED_SCENES = 16
 RECIPE = Recipe(steps=1, batch=4, lr=1e-3)  # the steps follow from the time
@@ -156,11 +155,11 @@ def variant_step(
     """Return the training step of a variant: the optical branch's, scored as the variant says."""
     usual = recipes.branch_step("optical", painter, pool, config, RECIPE, get_backend("classical"), seed)
     if variant.decoded:
-        return replace(usual, score=partial(steps_of.score_decoded, painter, config, variant.decoded))
+        return replace(usual, score=partial(score_decoded, painter, config, variant.decoded))
     if variant.oriented:
-        return replace(usual, score=partial(steps_of.score_oriented, painter, config))
+        return replace(usual, score=partial(score_oriented, painter, config))
     if variant.taught:
-        return replace(usual, score=partial(steps_of.score_student, painter, config, teacher))
+        return replace(usual, score=partial(score_student, painter, config, teacher))
     return usual
 
 
