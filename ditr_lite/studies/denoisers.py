@@ -112,7 +112,7 @@ def train_denoiser(
         raise ValueError(f"unknown variant {name!r}; choose one of {', '.join(DENOISERS)}")
     if not minutes > 0:
         raise ValueError(f"expected a positive number of minutes, got {minutes}")
-    seconds = step_seconds(Path(work) / "times.json", pool, given, config)
+    seconds = variant_times(Path(work) / "times.json", pool, given, config)
     variant = DENOISERS[name]
     torch.manual_seed(seed)
     painter, own = build_denoiser(variant, given, config)
@@ -163,7 +163,7 @@ def variant_step(
     return usual
 
 
-def step_seconds(file: Path, pool: Pool, given: Mapping[str, nn.Module], config: Config) -> dict[str, float]:
+def variant_times(file: Path, pool: Pool, given: Mapping[str, nn.Module], config: Config) -> dict[str, float]:
     """Return variant -> seconds of processor time that a training step takes here.
 
     Measured once, all variants in turn, so that a slow moment of the machine falls on all alike, and a resumed run

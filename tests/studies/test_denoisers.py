@@ -155,9 +155,9 @@ def test_all_variants_are_timed_once_and_in_turn(pool, given, tmp_path, monkeypa
         return {name: steps[name](0)["total"].item() ** 0 for name in ("default", "distilled", "orientation", "edges")}
 
     monkeypatch.setattr(denoisers, "time_steps", timed)
-    kept = denoisers.step_seconds(tmp_path / "times.json", pool, given, TINY)
+    kept = denoisers.variant_times(tmp_path / "times.json", pool, given, TINY)
     assert seen == [set(denoisers.DENOISERS)] and kept["distilled"] == 1
-    assert denoisers.step_seconds(tmp_path / "times.json", None, None, None) == kept
+    assert denoisers.variant_times(tmp_path / "times.json", None, None, None) == kept
 
 
 @pytest.mark.parametrize(("name", "minutes", "reason"), [("gan", 1, "unknown variant"), ("v", 0, "positive number")])
