@@ -2,7 +2,8 @@
 
 python tools/denoiser_study.py --minutes 1.5 [--data FOLDER ...] [--work outputs/denoisers] [--json FILE]
 
-A stopped run goes on where it was.
+A stopped run goes on where it was. With --only NAME ... few variants are trained, the default always among them; with
+another --seed give another --work and --json.
 """
 
 import argparse
@@ -28,14 +29,18 @@ def main() -> None:
     parser.add_argument("--data", type=Path, nargs="+", default=homes, help="folders of rendered scenes")
     parser.add_argument("--work", type=Path, default=Path("outputs/denoisers"), help="for checkpoints")
     parser.add_argument("--limit", type=int, help="use only the first scenes of each folder")
+    parser.add_argument("--only", nargs="+", choices=denoisers.DENOISERS, metavar="NAME", help="of variants")
+    parser.add_argument("--seed", type=int, default=0, help="of everything random (%(default)s)")
     parser.add_argument("--json", type=Path, default=results.results_path("denoiser"))
     args = parser.parse_args()
     torch.set_num_threads(1)
     config = peer_config()
     given, pool = system.given(WEIGHTS, config), Pool([load_scenes(folder, args.limit) for folder in args.data])
     held_out, errors, trained = load_scenes(SAMPLES / "val"), {}, {}
-    for name in tqdm(denoisers.DENOISERS, desc="variants", unit="variant"):
-        painter, own, trained[name] = denoisers.train_denoiser(name, args.minutes, pool, given, config, args.work)
+    names = [name for name in denoisers.DENOISERS if not args.only or name in ("default", *args.only)]
+    for name in tqdm(names, desc="variants", unit="variant"):
+        made = denoisers.train_denoiser(name, args.minutes, pool, given, config, args.work, args.seed)
+        painter, own, trained[name] = made
         errors[name] = {
             denoisers.way_of(*asked): denoisers.denoiser_errors(painter, own, held_out, *asked).tolist()
             for asked in denoisers.ASKED
@@ -43,7 +48,10 @@ def main() -> None:
     report = {"minutes": args.minutes, "scenes": len(pool), "trained": trained, "errors": errors}
     report["summary"] = denoisers.summarise_denoisers(errors)
     print(denoisers.format_denoisers(report))
-    command = results.tool_command("denoiser_study", ["--minutes", args.minutes])  # where files lie decides nothing
+    asked = ["--minutes", args.minutes]  # where files lie decides nothing
+    asked += ["--only", *args.only] if args.only else []
+    asked += ["--seed", args.seed] if args.seed else []
+    command = results.tool_command("denoiser_study", asked)
     results.write(args.json, results.head(command, parts=["autoencoder", "encoder"]), report)
 
 

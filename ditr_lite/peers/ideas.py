@@ -35,14 +35,13 @@ from ..config import Config
 from ..evaluation.protocols import fitted
 from ..stage_two import Views
 from ..training.batches import Batch
+from ..training.losses import ELSEWHERE, orientation_loss
 from .gradient_solve import solve
 from .networks import Critic, PixelUNet, perceptron
 
 Losses = dict[str, Tensor]
 Colour = Sequence[Tensor]
 OFFSET = CHANNELS.index("evidence")  # how far a fill from all readings lies from a fill from those outside
-ELSEWHERE = 0.05  # weight of pixels that need not be painted, as for DITR's branches
-EDGE = 0.02  # a step of log depth between neighbours, 2 % of the depth, is an occlusion boundary
 
 
 class Idea(nn.Module):
@@ -164,23 +163,6 @@ class NormalsOptimisation(Idea):
     def losses(self, views: Views, colour: Colour, batch: Batch, paint: Tensor) -> Losses:
         """Score predicted gradients of log depth (L1, off edges) and edges (cross-entropy)."""
         return orientation_loss(self.predicted(views, colour), batch, paint)
-
-
-def orientation_loss(out: Tensor, batch: Batch, paint: Tensor) -> Losses:
-    """Return the losses of gradients and edges (B, 3, H, W); pixels to be painted count fully, others a little."""
-    truth = batch.truth_m.clamp(min=0.05).log()
-    known = batch.gt_known
-    gx = F.pad(truth[..., 1:] - truth[..., :-1], (0, 1, 0, 0))
-    gy = F.pad(truth[..., 1:, :] - truth[..., :-1, :], (0, 0, 0, 1))
-    pairs = (known[..., 1:] * known[..., :-1], known[..., 1:, :] * known[..., :-1, :])
-    both = F.pad(pairs[0], (0, 1, 0, 0)) * F.pad(pairs[1], (0, 0, 0, 1)) * (paint + ELSEWHERE).clamp(max=1)
-    gradients = torch.cat([gx, gy], dim=1)
-    edge = (gradients.abs().amax(dim=1, keepdim=True) > EDGE).float()
-    smooth = both * (1 - edge)
-    l1 = ((out[:, :2] - gradients).abs() * smooth).sum() / smooth.sum().clamp(min=1)
-    cross = (F.binary_cross_entropy_with_logits(out[:, 2:], edge, reduction="none") * both).sum()
-    cross = cross / both.sum().clamp(min=1)
-    return {"total": 100 * l1 + cross, "gradient_l1": l1, "edge": cross}
 
 
 class TwoStreamConfidence(Idea):

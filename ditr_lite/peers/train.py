@@ -39,7 +39,7 @@ from ..stage_two import BRANCHES, Painter, Views, colour_features
 from ..store import WEIGHTS, copy_part, read_card, save_part
 from ..training import recipes
 from ..training.batches import Batch
-from ..training.loop import Losses, Recipe, Share, Step, fit
+from ..training.loop import ROUNDS, Losses, Recipe, Share, Step, fit, time_steps
 from ..training.parts import painter_of
 from ..training.scenes import Pool, checksum, first, load_scenes
 from . import system
@@ -54,7 +54,6 @@ ARMS = {
 TWICE = ("ditr", "bb", "dp")  # arms that are trained with two seeds, beside the best two peers
 RECIPE = Recipe(steps=1, batch=4, lr=1e-3)  # the steps follow from the time
 TIMED_SCENES = 16  # are enough to time a step on
-ROUNDS = 7  # over all networks when steps are timed; the median counts
 EVERY = 100  # steps between checkpoints
 Times = dict[str, float]
 
@@ -190,8 +189,7 @@ def validate(ditr: system.Ditr, frames: Sequence[Sample]) -> float:
 def step_times(file: Path, pool: Pool, config: Config, given: Mapping[str, nn.Module], rounds: int = ROUNDS) -> Times:
     """Return network -> seconds of processor time that a training step takes here.
 
-    It does all that a step of ``training.loop.fit`` does. Measured once, all networks in turn, so that a slow moment of
-    the machine falls on all alike and a resumed run ends where it should.
+    Measured once, so that a resumed run ends where it should; see ``training.loop.time_steps``.
 
     Args:
         file: where the times are kept.
@@ -210,21 +208,8 @@ def step_times(file: Path, pool: Pool, config: Config, given: Mapping[str, nn.Mo
         losses = {name: step_loss(name, net, parts, pool, config, 0) for name, net in nets.items()}
         for net in nets.values():
             net.to(memory_format=torch.channels_last)
-        optimisers = {name: torch.optim.AdamW(net.parameters(), lr=0.0) for name, net in nets.items()}
-        averages = {name: [v.clone() for v in net.state_dict().values()] for name, net in nets.items()}
-        took: dict[str, list[float]] = {name: [] for name in nets}
-        for k in range(rounds):
-            for name, loss in losses.items():
-                start = time.process_time()
-                optimisers[name].zero_grad(set_to_none=True)
-                loss(k)["total"].backward()
-                nn.utils.clip_grad_norm_(nets[name].parameters(), 1.0)
-                optimisers[name].step()
-                for kept, value in zip(averages[name], nets[name].state_dict().values(), strict=True):
-                    kept.lerp_(value, 0.1)
-                took[name].append(time.process_time() - start)
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_json(file, {name: sorted(seconds)[rounds // 2] for name, seconds in took.items()})
+        write_json(file, time_steps(nets, losses, rounds))
     return json.loads(file.read_text(encoding="utf-8"))
 
 

@@ -4,7 +4,7 @@ Paper: Sec. IV-C ("Denoising Step") and Eq. 8 to 10 fix what is predicted and wh
 other choices are worth. One thing is changed at a time. All variants see the same scenes and the same autoencoder.
 """
 
-import time
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -15,25 +15,24 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from .. import diffusion
 from ..boundary import get_backend
-from ..conditioning import CHANNELS, fill
+from ..conditioning import CHANNELS
 from ..config import Config, override
 from ..evaluation.statistics import bootstrap_mean, format_interval, paired_bootstrap
 from ..files import read_json, write_json
 from ..schedule import make_schedule
-from ..stage_two import Painter, Views, encode_picture, paint
+from ..stage_two import Painter, Views, paint
 from ..training import recipes
-from ..training.batches import Batch
-from ..training.loop import Losses, Recipe, Share, Step, fit
+from ..training.loop import Recipe, Step, fit, time_steps
 from ..training.parts import held_out_batches, root_mean_square
 from ..training.scenes import Pool, Scenes, checksum, first
 from ..unet import DenoisingUNet
+from .denoiser_steps import OrientedUNet, score_decoded, score_oriented, score_student
 
-ROUNDS = 7  # in which a step is timed; the median counts
 TIMED_SCENES = 16
+RECIPE = Recipe(steps=1, batch=4, lr=1e-3)  # the steps follow from the time
+TEACHING = 0.5  # share of the time in which a teacher is trained, where there is one
 ASKED = ((1, 1), (1, 8), (5, 1))  # steps and samples with which every variant is asked
-DECODED = 5.0  # weight of the relative error of decoded depth beside the latent loss
 
 
 @dataclass(frozen=True)
@@ -43,14 +42,19 @@ class DenoiserVariant:
     Attributes:
         says: what, in words.
         settings: of the configuration, see ``config.override``.
-        decoded: whether the loss looks at decoded depth, too.
+        decoded: what the loss looks at in decoded depth, one of ``denoiser_steps.DECODED``; "" for nothing.
+        oriented: whether the network has a second output, the orientation of surfaces.
+        taught: whether a teacher is trained first, in :data:`TEACHING` of the time, and the rest goes into learning in
+            one step what it draws in several.
         decay: of the moving average of the weights; 0 for none.
     """
 
     says: str
     settings: Mapping[str, Any] = field(default_factory=dict)
-    decoded: bool = False
-    decay: float = 0.995
+    decoded: str = ""
+    oriented: bool = False
+    taught: bool = False
+    decay: float = RECIPE.decay
 
 
 NOT_ANCHORED = {"unet.anchor": False}
@@ -59,14 +63,22 @@ DENOISERS = {
     "x0": DenoiserVariant("predicts the clean latents themselves (Eq. 9)", NOT_ANCHORED),
     "v": DenoiserVariant("predicts v", {**NOT_ANCHORED, "sampler.prediction": "v"}),
     "eps": DenoiserVariant("predicts the noise", {**NOT_ANCHORED, "sampler.prediction": "eps"}),
-    "decoded depth": DenoiserVariant("the loss looks at decoded depth, too", decoded=True),
+    "decoded depth": DenoiserVariant("the loss looks at decoded depth, too", decoded="depth"),
+    "edges": DenoiserVariant("the same, and pixels at depth edges count more", decoded="edges"),
+    "gradients": DenoiserVariant("the loss looks at gradients of decoded depth, too", decoded="gradients"),
+    "orientation": DenoiserVariant("a second output, orientation and edges of surfaces, with its loss", oriented=True),
+    "distilled": DenoiserVariant(
+        "half of the time trains a teacher, half learns in one step the mean of what it draws in several", taught=True
+    ),
     "concatenation": DenoiserVariant("no attention: conditions are only concatenated", {"unet.attention_levels": ()}),
     "latent asks": DenoiserVariant("in cross-attention the latents ask the picture", {"unet.query": "latent"}),
     "wider": DenoiserVariant("half as many channels again", {"unet.width": 24}),
     "shallower": DenoiserVariant(
         "three levels instead of four", {"unet.multipliers": (1, 2, 4), "unet.attention_levels": (2,)}
     ),
-    "no average": DenoiserVariant("the last weights instead of their moving average", decay=0.0),
+    "no average": DenoiserVariant(
+        "the last weights instead of their moving average, which lags by a tenth of so short a run", decay=0.0
+    ),
 }
 
 
@@ -77,23 +89,21 @@ def train_denoiser(
     given: Mapping[str, nn.Module],
     config: Config,
     work: Path | str,
-    batch: int = 4,
     seed: int = 0,
 ) -> tuple[Painter, Config, dict[str, Any]]:
     """Train one variant for a given processor time; a stopped run goes on.
 
     Args:
         name: of :data:`DENOISERS`.
-        minutes: of processor time.
+        minutes: of processor time, a teacher's included.
         pool: of scenes.
         given: trained ``autoencoder`` and, if the sizes ask for one, ``encoder``.
         config: that the variant changes.
-        work: for checkpoints and measured times.
-        batch: views a step.
+        work: for checkpoints and measured times; one for each seed.
         seed: of everything random.
 
     Returns:
-        the painter, its configuration, and notes: steps, seconds a step, parameters.
+        the painter, its configuration, and notes: steps, seconds a step, parameters; of the teacher, too.
 
     Raises:
         ValueError: for an unknown variant or a time that is not positive.
@@ -102,75 +112,79 @@ def train_denoiser(
         raise ValueError(f"unknown variant {name!r}; choose one of {', '.join(DENOISERS)}")
     if not minutes > 0:
         raise ValueError(f"expected a positive number of minutes, got {minutes}")
+    seconds = variant_times(Path(work) / "times.json", pool, given, config)
     variant = DENOISERS[name]
-    config = override(config, **variant.settings)
     torch.manual_seed(seed)
-    net = DenoisingUNet(config.unet, config.autoencoder.latent_channels, len(CHANNELS))
+    painter, own = build_denoiser(variant, given, config)
+    notes, teacher = {}, None
+
+    def train(called: str, change: DenoiserVariant, share: float) -> int:
+        """Fit the network as ``change`` says for a share of the time, and return in how many steps."""
+        steps = max(1, round(60 * minutes * share / seconds[called]))
+        recipe = replace(RECIPE, steps=steps, decay=change.decay, warmup=max(1, min(RECIPE.warmup, steps // 10)))
+        step = variant_step(change, painter, pool, own, seed, teacher)
+        file, key = f"{name}-{called}".replace(" ", "_"), f"{name} {checksum(*pool.groups)}"
+        fit(file, painter.net, step, recipe, work, every=100, seed=seed, key=key)
+        painter.net.eval()
+        return steps
+
+    if variant.taught:
+        notes["teacher_steps"] = train("default", DENOISERS["default"], TEACHING)
+        teacher = replace(painter, net=copy.deepcopy(painter.net))
+    notes["steps"] = train(name, variant, 1 - TEACHING if variant.taught else 1.0)
+    painter.net.requires_grad_(False)
+    notes["seconds_a_step"] = round(seconds[name], 4)
+    notes["parameters"] = sum(p.numel() for p in painter.net.parameters())
+    return painter, own, notes
+
+
+def build_denoiser(variant: DenoiserVariant, given: Mapping[str, nn.Module], config: Config) -> tuple[Painter, Config]:
+    """Return an untrained variant and its configuration."""
+    own = override(config, **variant.settings)
+    if variant.oriented:
+        net = OrientedUNet(own)
+    else:
+        net = DenoisingUNet(own.unet, own.autoencoder.latent_channels, len(CHANNELS))
     net = net.to(memory_format=torch.channels_last)
-    painter = Painter(net, given["autoencoder"], given.get("encoder"), None, config.evidence)
-    recipe = Recipe(steps=1, batch=batch, lr=1e-3, decay=variant.decay)
-    tag = name.replace(" ", "_")
-    file = Path(work) / f"{tag}.seconds.json"
-    if not file.is_file():  # kept, so that a resumed run ends where it should
-        few = Pool([first(group, TIMED_SCENES) for group in pool.groups])
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_json(file, {"seconds": time_step(variant_step(variant, painter, few, config, recipe, seed), net)})
-    seconds = read_json(file)["seconds"]
-    steps = max(1, round(60 * minutes / seconds))
-    recipe = replace(recipe, steps=steps, warmup=max(1, min(recipe.warmup, steps // 10)))
-    step = variant_step(variant, painter, pool, config, recipe, seed)
-    fit(tag, net, step, recipe, work, every=100, seed=seed, key=f"{name} {checksum(*pool.groups)}")
-    net.eval().requires_grad_(False)
-    notes = {
-        "steps": steps,
-        "seconds_a_step": round(seconds, 4),
-        "parameters": sum(p.numel() for p in net.parameters()),
-    }
-    return painter, config, notes
+    return Painter(net, given["autoencoder"], given.get("encoder"), None, own.evidence), own
 
 
 def variant_step(
-    variant: DenoiserVariant, painter: Painter, pool: Pool, config: Config, recipe: Recipe, seed: int
+    variant: DenoiserVariant, painter: Painter, pool: Pool, config: Config, seed: int, teacher: Painter | None = None
 ) -> Step:
-    """Return the training step of a variant: the optical branch's, and if so asked with decoded depth."""
-    usual = recipes.branch_step("optical", painter, pool, config, recipe, get_backend("classical"), seed)
-    if not variant.decoded:
-        return usual
-    return replace(usual, score=partial(score_decoded, painter, config))
+    """Return the training step of a variant: the optical branch's, scored as the variant says."""
+    usual = recipes.branch_step("optical", painter, pool, config, RECIPE, get_backend("classical"), seed)
+    if variant.decoded:
+        return replace(usual, score=partial(score_decoded, painter, config, variant.decoded))
+    if variant.oriented:
+        return replace(usual, score=partial(score_oriented, painter, config))
+    if variant.taught:
+        return replace(usual, score=partial(score_student, painter, config, teacher))
+    return usual
 
 
-def score_decoded(painter: Painter, config: Config, drawn: tuple[Batch, bool], step: int, share: Share) -> Losses:
-    """Score a denoiser by its latents and by the depth that they decode to, where must be painted."""
-    batch, evidence = drawn
-    (image, filled, known), where = recipes.branch_inputs("optical", batch, config, evidence=evidence)
-    schedule, prediction = make_schedule(config.schedule), config.sampler.prediction
-    with torch.no_grad():
-        masked = painter.autoencoder.encode(recipes.cl(filled))
-        x0 = painter.autoencoder.encode(recipes.cl(fill(batch.gt_n, batch.gt_known)))
-    t = torch.randint(0, schedule.timesteps, (len(x0),))
-    t[: len(x0) // 2] = schedule.timesteps - 1
-    eps = torch.randn_like(x0)
-    x_t = diffusion.q_sample(x0, t, eps, schedule)
-    out = painter.net(x_t, t, encode_picture(painter, image, batch.rgb), masked, known)
-    mask = nn.functional.avg_pool2d(where * batch.gt_known, 4) + 0.05
-    latent = diffusion.loss(out, x0, eps, t, schedule, prediction, mask=mask)
-    decoded = painter.autoencoder.decode(diffusion.to_x0(out, x_t, t, schedule, prediction), quantize=False)
-    weight = where * batch.gt_known
-    depth = (batch.relative_error(decoded).abs() * weight).sum() / weight.sum().clamp(min=1)
-    return {"total": latent + DECODED * depth, "latent": latent, "depth": depth}
+def variant_times(file: Path, pool: Pool, given: Mapping[str, nn.Module], config: Config) -> dict[str, float]:
+    """Return variant -> seconds of processor time that a training step takes here.
 
+    Measured once, all variants in turn, so that a slow moment of the machine falls on all alike, and a resumed run
+    ends where it should.
 
-def time_step(step: Step, net: nn.Module, rounds: int = ROUNDS) -> float:
-    """Return the median processor time of a training step in seconds; the weights stay as they are."""
-    optimiser, took = torch.optim.AdamW(net.parameters(), lr=0.0, weight_decay=0.0), []
-    for k in range(rounds):
-        start = time.process_time()
-        optimiser.zero_grad(set_to_none=True)
-        step(k)["total"].backward()
-        optimiser.step()
-        took.append(time.process_time() - start)
-    optimiser.zero_grad(set_to_none=True)
-    return sorted(took)[rounds // 2]
+    Args:
+        file: where the times are kept.
+        pool: of scenes, of which few are enough.
+        given: see :func:`train_denoiser`.
+        config: that the variants change.
+    """
+    if not file.is_file():
+        few = Pool([first(group, TIMED_SCENES) for group in pool.groups])
+        nets, steps = {}, {}
+        for name, variant in DENOISERS.items():
+            painter, own = build_denoiser(variant, given, config)
+            nets[name] = painter.net
+            steps[name] = variant_step(variant, painter, few, own, 0, replace(painter, net=copy.deepcopy(painter.net)))
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_json(file, time_steps(nets, steps))
+    return read_json(file)
 
 
 @torch.no_grad()

@@ -15,7 +15,7 @@ import json
 import math
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -37,6 +37,7 @@ OPTIMISERS = {"adam": torch.optim.AdamW, "sgd": torch.optim.SGD}
 PRECISIONS = ("auto", "no", "bf16")
 ADDED = ("optimiser", "momentum", "clip", "ramp", "patience", "law", "epoch")  # to recipes, since checkpoints exist
 EVERY = 500  # steps between validations, each with a checkpoint
+ROUNDS = 7  # in which steps are timed
 FALL = math.log(10)  # our exponential factor of the paper's rate ends at a tenth
 Losses = dict[str, Tensor]
 
@@ -525,6 +526,36 @@ def follow_average(average: dict[str, Tensor], model: nn.Module, decay: float) -
             average[key].lerp_(value, 1 - decay)
         else:
             average[key].copy_(value)
+
+
+def time_steps(
+    nets: Mapping[str, nn.Module], steps: Mapping[str, Callable[[int], Losses]], rounds: int = ROUNDS
+) -> dict[str, float]:
+    """Return name -> seconds of processor time that a training step takes here; the weights stay as they are.
+
+    It does all that a step of :func:`fit` does, all networks in turn, so that a slow moment of the machine falls on all
+    alike.
+
+    Args:
+        nets: name -> network.
+        steps: name -> its step loss.
+        rounds: over all networks; the median counts.
+    """
+    optimisers = {name: torch.optim.AdamW(net.parameters(), lr=0.0) for name, net in nets.items()}
+    averages = {name: {k: v.clone() for k, v in net.state_dict().items()} for name, net in nets.items()}
+    took: dict[str, list[float]] = {name: [] for name in nets}
+    for k in range(rounds):
+        for name, step in steps.items():
+            start = time.process_time()
+            optimisers[name].zero_grad(set_to_none=True)
+            step(k)["total"].backward()
+            nn.utils.clip_grad_norm_(nets[name].parameters(), 1.0)
+            optimisers[name].step()
+            follow_average(averages[name], nets[name], 0.9)
+            took[name].append(time.process_time() - start)
+    for optimiser in optimisers.values():
+        optimiser.zero_grad(set_to_none=True)
+    return {name: sorted(seconds)[rounds // 2] for name, seconds in took.items()}
 
 
 def _with_average(

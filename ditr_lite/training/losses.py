@@ -10,6 +10,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..region import IGNORE
+from .batches import Batch
+
+ELSEWHERE = 0.05  # weight of pixels that need not be painted, as for DITR's branches
+STEP = 0.02  # of log depth between neighbours, 2 % of the depth: an occlusion boundary
 
 
 def class_boundary(classes: Tensor) -> Tensor:
@@ -151,3 +155,20 @@ def _gradient_difference(x: Tensor, y: Tensor, valid: Tensor) -> Tensor:
         total = total + torch.where(pair, difference, 0.0).sum()
         pairs = pairs + pair.sum()
     return total / pairs.clamp_min(1)
+
+
+def orientation_loss(out: Tensor, batch: Batch, paint: Tensor) -> dict[str, Tensor]:
+    """Return the losses of gradients and edges (B, 3, H, W); pixels to be painted count fully, others a little."""
+    truth = batch.truth_m.clamp(min=0.05).log()
+    known = batch.gt_known
+    gx = F.pad(truth[..., 1:] - truth[..., :-1], (0, 1, 0, 0))
+    gy = F.pad(truth[..., 1:, :] - truth[..., :-1, :], (0, 0, 0, 1))
+    pairs = (known[..., 1:] * known[..., :-1], known[..., 1:, :] * known[..., :-1, :])
+    both = F.pad(pairs[0], (0, 1, 0, 0)) * F.pad(pairs[1], (0, 0, 0, 1)) * (paint + ELSEWHERE).clamp(max=1)
+    gradients = torch.cat([gx, gy], dim=1)
+    edge = (gradients.abs().amax(dim=1, keepdim=True) > STEP).float()
+    smooth = both * (1 - edge)
+    l1 = ((out[:, :2] - gradients).abs() * smooth).sum() / smooth.sum().clamp(min=1)
+    cross = (F.binary_cross_entropy_with_logits(out[:, 2:], edge, reduction="none") * both).sum()
+    cross = cross / both.sum().clamp(min=1)
+    return {"total": 100 * l1 + cross, "gradient_l1": l1, "edge": cross}

@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -437,3 +438,22 @@ def test_laws_of_the_rate():
             ValueError, match="expected an optimiser of adam, sgd and a law of cosine, constant, falling"
         ):
             replace(RECIPE, **wrong)
+
+
+# --- time -------------------------------------------------------------------------------------------------------------
+
+
+def test_steps_are_timed_in_turn_and_change_nothing(monkeypatch):
+    clock, seen = iter(np.cumsum([0, 1, 0, 5, 0, 9, 0, 5, 0, 2, 0, 50])), []  # rounds of 1 and 5, 9 and 5, 2 and 50 s
+    monkeypatch.setattr(loop.time, "process_time", lambda: float(next(clock)))
+    nets = {"quick": nn.Linear(2, 1), "slow": nn.Linear(2, 1)}
+    before = {name: net.weight.clone() for name, net in nets.items()}
+
+    def step(name, k):
+        seen.append((k, name))
+        return {"total": nets[name](torch.ones(1, 2)).sum()}
+
+    steps = {name: partial(step, name) for name in nets}
+    assert loop.time_steps(nets, steps, rounds=3) == {"quick": 2.0, "slow": 5.0}  # medians
+    assert seen == [(k, name) for k in range(3) for name in nets]
+    assert all(torch.equal(net.weight, before[name]) and net.weight.grad is None for name, net in nets.items())
