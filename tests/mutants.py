@@ -555,7 +555,7 @@ FRAMES = [
             "h = self.project(F.relu6(self.depthwise(h)))",
             "h = F.relu6(self.project(F.relu6(self.depthwise(h))))",
         ),
-        ("stage of stride 16 taken early", "outputs[2], outputs[4]]", "outputs[2], outputs[3]]"),
+        ("stage of stride 16 taken early", "LAST_STAGE = (0, 1, 2, 4, 5)", "LAST_STAGE = (0, 1, 2, 3, 5)"),
     ),
     *family(
         "encoder",
@@ -585,7 +585,7 @@ FRAMES = [
             "views.valid, views.region, views.rgb",
             "views.valid, 1 - views.region, views.rgb",
         ),
-        ("colour features at the wrong strides", "painter.encoder(_cl(rgb))[1:]", "painter.encoder(_cl(rgb))[:3]"),
+        ("colour features at the wrong strides", "encoder(_cl(rgb), levels=4)[1:]", "encoder(_cl(rgb), levels=4)[:3]"),
         (
             "samples and views mixed",
             "mean = decoded.unflatten(0, (-1, count)).mean(dim=0)",

@@ -244,8 +244,8 @@ hall. Some have neither glass nor metal.
 - One number of the shipped system was chosen with three of them in view (ClearGrasp 80 and 123, one D415 frame):
   `detail.strength`, how much the final step's trust in readings inside the region may learn from rendered scenes: 0.4,
   of 0.4 and 1: their errors in the mask are lower with it. Validation scenes would prefer 1. Of the trainings of
-  stage one the shipped one has the best scores on validation scenes, not on these frames: the one before finds the
-  things of the D415 frame, which this one misses, and misses those of the SR300 frame, most of which this one finds.
+  stage one the shipped one has the best scores on validation scenes; these frames were looked at after each, and
+  chose none.
 
 ## How they were made
 

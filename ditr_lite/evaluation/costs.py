@@ -7,6 +7,7 @@ FLOP. The paper does not say which it did, so :func:`beside_table_vi` shows both
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
@@ -18,7 +19,7 @@ from ..conditioning import CHANNELS
 from ..config import Config
 from ..detail import detail_input
 from ..pipeline import build
-from ..stage_two import BRANCHES
+from ..stage_two import BRANCHES, colour_features
 from ..unet import STRIDE, DenoisingUNet
 
 Row = dict[str, Any]
@@ -100,10 +101,9 @@ def _stage_two(
     rows = [_row("two", "encoder", shared * _parameters(vae.encoder), views, vae.encode, one)]
     colour = []
     if "encoder" in parts:
-        rows.append(
-            _row("two", "picture encoder", shared * _parameters(parts["encoder"]), views, parts["encoder"], rgb)
-        )
-        colour = parts["encoder"](rgb)[1:]
+        look = partial(colour_features, parts["encoder"])
+        rows.append(_row("two", "picture encoder", shared * _parameters(parts["encoder"]), views, look, rgb))
+        colour = look(rgb)
     features = net.features(image, colour)
     step = (latents, torch.zeros(1, dtype=torch.long), features, latents, latents[:, :1])
     extractor = own * _parameters(net.extractor)

@@ -22,6 +22,7 @@ from ..conditioning import CHANNELS
 from ..config import Config
 from ..detail import detail_input
 from ..pipeline import build
+from ..stage_two import colour_features
 from ..training.loop import WHOLE, Recipe, optimiser_of
 from ..training.parts import assemble
 from ..training.recipes import CROP
@@ -150,7 +151,7 @@ def _denoised(branch: str, parts: nn.ModuleDict, rgb: Tensor, one: Tensor) -> Te
     with torch.no_grad():
         latents = parts["autoencoder"].encode(one)
         parts["autoencoder"].encode(one)
-        colour = parts["encoder"](rgb)[1:] if "encoder" in parts else []
+        colour = colour_features(parts["encoder"] if "encoder" in parts else None, rgb)
     image = torch.zeros(1, len(CHANNELS), *one.shape[2:])
     known = torch.zeros(1, 1, one.shape[2] // STRIDE, one.shape[3] // STRIDE)
     steps = torch.zeros(1, dtype=torch.long)
