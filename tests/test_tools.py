@@ -15,6 +15,7 @@ import region_study as study
 import result_picture as picture
 import soak
 import student_copy as students
+import torch
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
 from ditr_lite.config import RefineConfig, StdConfig, preset
@@ -164,6 +165,7 @@ def test_the_picture_is_drawn():
 
 
 def test_calibration_fits_checks_and_enters_what_it_found(tmp_path, capsys):
+    torch.manual_seed(2)  # what an untrained network claims is chance: here a sixth of the picture
     config = replace(preset("tiny"), std=StdConfig(base=(0.5, 0.5)), refine=RefineConfig(0, 0, 0))
     parts, sample = build(config), load_sample(list_samples("val")[0])
     _, classes = Ditr(parts, config).classify(sample.rgb, sample.depth)

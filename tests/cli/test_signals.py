@@ -35,6 +35,7 @@ def test_no_worker_outlives_a_simulation(tmp_path, sent, code, line):
     pytest.importorskip("mitsuba")
     argv = [sys.executable, "-m", "ditr_lite", "simulate", "--split", "train", "--count", "40", "--workers", "2"]
     quiet = {**os.environ, "TQDM_DISABLE": "1"}
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # the background of a shell ignores it; children inherit
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen([*argv, "--out", str(tmp_path)], cwd=ROOT, env=quiet, start_new_session=True, **pipes)
     parent = psutil.Process(process.pid)
