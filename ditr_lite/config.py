@@ -34,7 +34,7 @@ class RegionConfig:
     def __post_init__(self) -> None:
         _at_least(1, "region", width=self.width)
         _at_least(2, "region", levels=self.levels, classes=self.classes)
-        _at_most(6, "region", levels=self.levels)  # channels double with each: more would not fit into any memory
+        _at_most(6, "region", levels=self.levels)  # at stride 64 a working picture is 3 x 4 pixels
         _at_most(WIDEST, "region", width=self.width)
 
 

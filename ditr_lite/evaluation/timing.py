@@ -188,13 +188,10 @@ def views_of(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray)
     whole = [tuple(frame.into(image) for image in (rgb, depth, region))]
     guides = Plan().guides
     found = {"geometric": ditr.look(whole, guides[1], False)[0]}
-    close = (
-        [shown for *_, shown in close_ups(rgb, depth, region, ditr.config.window, depth)]
-        if ditr.config.window
-        else whole
-    )
+    side = ditr.config.window
+    close = [shown for *_, shown in close_ups(rgb, depth, region, side, depth)] if side else whole
     if close:
-        found["optical"] = ditr.look(close, guides[0], bool(ditr.config.window))[0]
+        found["optical"] = ditr.look(close, guides[0], bool(side))[0]
     return found
 
 

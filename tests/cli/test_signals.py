@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+import soak
 
 psutil = pytest.importorskip("psutil")
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -35,9 +36,11 @@ def test_no_worker_outlives_a_simulation(tmp_path, sent, code, line):
     pytest.importorskip("mitsuba")
     argv = [sys.executable, "-m", "ditr_lite", "simulate", "--split", "train", "--count", "40", "--workers", "2"]
     quiet = {**os.environ, "TQDM_DISABLE": "1"}
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # the background of a shell ignores it; children inherit
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen([*argv, "--out", str(tmp_path)], cwd=ROOT, env=quiet, start_new_session=True, **pipes)
+    with soak.listening_to_ctrl_c():
+        process = subprocess.Popen(
+            [*argv, "--out", str(tmp_path)], cwd=ROOT, env=quiet, start_new_session=True, **pipes
+        )
     parent = psutil.Process(process.pid)
     until(lambda: len(parent.children(recursive=True)) >= 2)
     workers = parent.children(recursive=True)
