@@ -16,13 +16,22 @@ def colours(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     if rng.random() < 0.3:  # metals and glass of other colours than those at hand
         mix = np.eye(3)[rng.permutation(3)] + rng.normal(0, 0.15, (3, 3))
         image = image @ (mix / mix.sum(axis=0)).astype(np.float32)
-    if rng.random() < 0.1:  # at night
-        image *= rng.uniform(0.25, 0.7)
     image += rng.normal(0, rng.uniform(0, 0.03), image.shape).astype(np.float32)
     if rng.random() < 0.3:
         image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.4, 1.2))
     if rng.random() < 0.1:
         image = np.repeat(image.mean(2, keepdims=True), 3, axis=2)
+    return (np.clip(image, 0, 1) * 255).astype(np.uint8)
+
+
+def dusk(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Darken an (H, W, 3) uint8 image as at night: dim, tinted, one side dimmer than the other, with a sensor's noise."""
+    height, width = rgb.shape[:2]
+    y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
+    slope = rng.uniform(-0.6, 0.6, 2)
+    light = rng.uniform(0.2, 0.65) * np.exp(slope[0] * y + slope[1] * x) * np.exp(rng.normal(0, 0.12, 3))[:, None, None]
+    image = rgb.astype(np.float32) / 255 * light.transpose(1, 2, 0)
+    image += rng.normal(0, rng.uniform(0.005, 0.04), image.shape)
     return (np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 

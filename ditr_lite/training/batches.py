@@ -12,7 +12,9 @@ from ..conditioning import Bounds, depth_bounds, to_tensor
 from ..units import without_strays
 from .loop import WHOLE, Share
 from .scenes import Pool, Scenes
-from .views import View, disturb, frame_view, mix_views, window_view
+from .views import View, disturb, frame_view, mix_views, read_truly, window_view
+
+READ_TRULY = 0.4  # of the windows, in which the sensor reads parts of the glass as it is
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,10 @@ def draw_windows(
     """Draw windows around what the optical branch must paint, a third of them mistaken; see :func:`draw_frames`."""
     views = []
     for own in share.take(rng.spawn(count)):
-        views.append(disturb(window_view(*pool.pick(own), (side, side), own), own))
+        view = window_view(*pool.pick(own), (side, side), own)
+        if own.random() < READ_TRULY:
+            view = read_truly(view, own)
+        views.append(disturb(view, own))
     return batch_of(views, backend, around=True)
 
 

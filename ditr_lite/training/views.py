@@ -11,7 +11,7 @@ import numpy as np
 
 from ..region import IGNORE
 from ..windows import LEAST, MARGIN
-from .augment import colours, glare
+from .augment import colours, dusk, glare
 from .scenes import Scenes
 
 
@@ -165,8 +165,7 @@ def grow(region: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def blunder(region: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return a region with a rough outline, a part missed and a part too many."""
     height, width = region.shape
-    field = cv2.GaussianBlur(rng.normal(size=region.shape).astype(np.float32), (0, 0), float(rng.uniform(4, 14)))
-    field /= field.std() + 1e-6
+    field = bumps(region.shape, rng)
     inside = region.astype(np.uint8)
     near = cv2.dilate(inside, np.ones((15, 15), np.uint8)) > 0
     far = cv2.erode(inside, np.ones((9, 9), np.uint8)) > 0
@@ -175,11 +174,39 @@ def blunder(region: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return grow(out, rng)
 
 
+def read_truly(view: View, rng: np.random.Generator) -> View:
+    """Let the sensor read parts of the glass and metal as they are, but for a bias and noise; all else stays.
+
+    Real glass is read more truthfully than rendered glass: it is scratched, dusty, patterned, or of plastic. Whoever only
+    sees rendered readings learns never to trust one.
+    """
+    field = bumps(view.depth.shape, rng)
+    true = ((view.material == 1) | (view.material == 2)) & (view.depth_gt > 0)
+    if not true.any():
+        return view
+    read = true & (field > np.quantile(field[true], rng.uniform(0, 0.8)))
+    if rng.random() < 0.5:
+        read &= view.depth > 0  # holes stay holes
+    bias, ripple = abs(rng.normal(0, 0.01)), rng.uniform(0.001, 0.008) * bumps(view.depth.shape, rng)
+    noise = rng.normal(0, rng.uniform(0.0005, 0.004), view.depth.shape)
+    seen = view.depth_gt * (1 + bias + ripple + noise)
+    return replace(view, depth=np.where(read, seen, view.depth).astype(np.float32))
+
+
+def bumps(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
+    """Return a smooth random field (H, W) of mean 0 and spread 1."""
+    field = cv2.GaussianBlur(rng.normal(size=shape).astype(np.float32), (0, 0), float(rng.uniform(4, 14)))
+    return field / (field.std() + 1e-6)
+
+
 def disturb(view: View, rng: np.random.Generator) -> View:
     """Vary the colours and lose, thin out or spoil readings as cameras and mountings do."""
     rgb = colours(view.rgb, rng)
+    night = rng.random() < 0.12
+    if night:
+        rgb = dusk(rgb, rng)
     depth = lose(view.depth, rng)
-    if rng.random() < 0.15:
+    if rng.random() < (0.8 if night else 0.12):
         rgb, blinded = glare(rgb, rng)
         depth = np.where(blinded, 0, depth).astype(np.float32)
     if rng.random() < 0.2:

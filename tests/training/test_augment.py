@@ -1,6 +1,6 @@
 import numpy as np
 
-from ditr_lite.training.augment import colours, glare
+from ditr_lite.training.augment import colours, dusk, glare
 
 
 def test_the_generator_decides_and_the_input_stays():
@@ -27,3 +27,13 @@ def test_glare_only_adds_light_and_blinds_where_it_is_bright():
         assert not core.any() or bright[core].min() >= 60  # 1.5 exp(-1.5) of the least bright colour
         shares.append(core.mean())
     assert min(shares) == 0 and 0.005 < np.mean(shares) < 0.1
+
+
+def test_at_dusk_little_light_is_left_of_every_picture():
+    image = np.full((48, 64, 3), 200, np.uint8)
+    dim = [dusk(image, np.random.default_rng(k)) for k in range(40)]
+    left = np.array([d.mean() / 200 for d in dim])
+    assert left.max() < 0.9 and 0.3 < left.mean() < 0.6 and left.min() > 0.1
+    halves = np.array([d[:, :32].mean() / d[:, 32:].mean() for d in dim])
+    assert halves.min() < 0.8 and halves.max() > 1.25  # one side is dimmer than the other, either one
+    assert all(d.dtype == np.uint8 and d.shape == image.shape for d in dim)

@@ -16,6 +16,7 @@ from ditr_lite.training.views import (
     lose,
     mix_views,
     placement,
+    read_truly,
     spoil,
     thin_out,
     window_view,
@@ -167,6 +168,24 @@ def test_thinning_keeps_a_few_or_every_so_many_rows():
         rows += set(np.unique(filled)) == {0.0, 1.0}
         shares.append((out > 0).mean())
     assert 8 < rows < 32 and max(shares) <= 0.26 and min(shares) > 0
+
+
+def test_glass_is_read_as_it_is_in_parts_and_nothing_else_changes(scenes):
+    view = frame_view(scenes, 0, (48, 64), None)
+    view = replace(view, depth=np.where(view.region, 0, view.depth))  # all of it is a hole
+    true = view.region & (view.depth_gt > 0)
+    shares = []
+    for seed in range(40):
+        out = read_truly(view, rng(seed))
+        assert np.array_equal(out.depth[~true], view.depth[~true]) and out.depth.dtype == np.float32
+        read = true & (out.depth > 0)
+        shares.append(read.sum() / true.sum())
+        if read.any():
+            assert np.abs(np.log(out.depth[read] / view.depth_gt[read])).max() < 0.1
+            assert np.median(out.depth[read] / view.depth_gt[read]) > 0.98  # a bias is away from the camera
+    assert 0.3 < np.mean(np.array(shares) == 0) < 0.7 and max(shares) > 0.6  # half of the time holes stay holes
+    nothing = replace(view, material=np.zeros_like(view.material))
+    assert read_truly(nothing, rng()) is nothing
 
 
 def test_disturbing_leaves_the_truth_and_some_readings_alone(scenes):
