@@ -42,8 +42,7 @@ class RegionConfig:
 class RefineConfig:
     """From stage one's network to the region (Paper: Sec. IV-B): looks, probability, median filter, dilation.
 
-    The paper looks once. With more ``looks``, or mirrored ones, the logits of all are averaged; kernels are in pixels
-    of the mask they are given.
+    The paper looks once. Logits of several ``looks`` are averaged; kernels are in pixels of the mask they are given.
     """
 
     median: int = 7
@@ -51,8 +50,7 @@ class RefineConfig:
     iterations: int = 3
     threshold: float = 0.5  # probability above which a pixel is claimed
     temperature: float = 1.0  # logits are divided by it, so that the probability means what it says
-    looks: tuple[float, ...] = (1.0,)  # working sizes; a frame is looked at above 1 only where it has the pixels
-    mirrored: bool = False  # look at each size a second time, left and right exchanged
+    looks: tuple[float, ...] = (1.0,)  # sizes, of the working size, at which a frame is seen; trained for the first
 
     def __post_init__(self) -> None:
         if not 0 < self.threshold < 1 or not self.temperature > 0:
@@ -60,8 +58,8 @@ class RefineConfig:
                 f"refine: expected a threshold between 0 and 1 and a temperature above 0, "
                 f"got {self.threshold} and {self.temperature}"
             )
-        if not self.looks or self.looks[0] != 1 or min(self.looks) < 1:
-            raise ValueError(f"refine.looks: expected 1.0 first and no size below it, got {self.looks}")
+        if not self.looks or min(self.looks) < 1:
+            raise ValueError(f"refine.looks: expected at least one size and none below 1, got {self.looks}")
 
 
 @dataclass(frozen=True)
@@ -118,13 +116,9 @@ class UNetConfig:
 
 @dataclass(frozen=True)
 class DetailConfig:
-    """The finer final step: a small full-resolution network after the decoder. Width 0 leaves it out (the paper).
-
-    ``strength`` says how much of what it learnt of readings inside the region is applied after training.
-    """
+    """The finer final step: a small full-resolution network after the decoder. Width 0 leaves it out (the paper)."""
 
     width: int = 24
-    strength: float = 1.0
 
 
 PREDICTIONS = ("x0", "eps", "v")  # what a denoiser may be trained to predict
@@ -189,6 +183,11 @@ class Config:
         if self.unet.anchor and self.sampler.prediction != "x0":
             raise ValueError(f"sampler.prediction {self.sampler.prediction!r} needs unet.anchor=false")
 
+    def look(self, scale: float | None = None) -> tuple[int, int]:
+        """Return the size (H, W) of a look of stage one; by default of the first, the one that it is trained for."""
+        scale = self.refine.looks[0] if scale is None else scale
+        return round(scale * self.size[0]), round(scale * self.size[1])
+
 
 PRESETS: dict[str, Config] = {
     "tiny": Config(
@@ -203,10 +202,9 @@ PRESETS: dict[str, Config] = {
     "lite": Config(
         region=RegionConfig(levels=5),
         refine=RefineConfig(  # temperature, as std: on validation scenes
-            looks=(1.0, 1.5), mirrored=True, median=3, dilate=3, iterations=1, temperature=1.1697
+            looks=(1.5, 1.0, 2.0), median=3, dilate=3, iterations=1, temperature=1.1637
         ),
-        detail=DetailConfig(strength=0.4),  # on rendered glass readings are worse than a camera's: see the data card
-        std=StdConfig(base=(0.0616, 0.0204), factor=(9.5244, 10.6119), kept=0.0189, missed=0.1101),
+        std=StdConfig(base=(0.0571, 0.0159), factor=(6.9597, 9.1852), kept=0.0172, missed=0.1467),
     ),
     "paper": Config(
         name="paper",

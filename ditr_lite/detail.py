@@ -45,7 +45,6 @@ class DetailNet(nn.Module):
         super().__init__()
         if config.width < 1:
             raise ValueError(f"DetailNet: expected a width of at least 1, got {config.width}; for 0 leave it out")
-        self.strength = config.strength
         widths = [config.width * 2**i for i in range(LEVELS)]
         ins = [4 * len(CHANNELS), *widths[:-1]]
         # one convolution at stride 2, where each costs most, and on the way up
@@ -111,8 +110,6 @@ class DetailNet(nn.Module):
         out = F.pixel_shuffle(self.out(x), 2)  # (B, 4 OUTPUTS, H/2, W/2) -> (B, OUTPUTS, H, W)
         residual, blend, trust, *kernels = out.split([1, 1, 2, *[9] * len(DILATIONS)], dim=1)
         blend = torch.sigmoid(blend - 2.0)  # at first the fill hardly counts,
-        if not self.training:  # on a camera's frames less is known of the readings inside than on rendered ones
-            trust = trust * trust.new_tensor([1.0, self.strength]).view(1, 2, 1, 1)
         start = trust.new_tensor([3.0, -1.0]).view(1, 2, 1, 1)  # readings outside are trusted, and inside hardly
         return residual, blend, torch.sigmoid(trust + start), [k.softmax(dim=1) for k in kernels]
 

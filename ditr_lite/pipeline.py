@@ -249,21 +249,17 @@ class Ditr:
     def classify(self, rgb: np.ndarray, depth: np.ndarray) -> tuple[Frame, np.ndarray]:
         """Return how the frame lies in the working size and (classes, h, w) probabilities there, calibrated."""
         refine, frame = self.config.refine, fit_frame(depth.shape, self.config.size)
-        larger = frame.height < depth.shape[0]  # the frame has more pixels than the working size shows
-        logits = [self.region_logits(rgb, depth, scale) for scale in refine.looks if scale == 1 or larger]
-        mean = torch.cat(logits).mean(0)  # (looks, classes, h, w) -> (classes, h, w)
+        logits = [self.region_logits(rgb, depth, scale) for scale in refine.looks]
+        mean = torch.stack(logits).mean(0)  # (looks, classes, h, w) -> (classes, h, w)
         return frame, (mean / refine.temperature).softmax(dim=0).cpu().numpy()
 
     def region_logits(self, rgb: np.ndarray, depth: np.ndarray, scale: float) -> Tensor:
-        """Return stage one's logits (1 or 2, classes, h, w) at the working size, from ``scale`` times that size."""
-        frame = fit_frame(depth.shape, tuple(round(scale * n) for n in self.config.size))
+        """Return stage one's logits (classes, h, w) at the working size, from a look at ``scale`` times that size."""
+        frame = fit_frame(depth.shape, self.config.look(scale))
         small = without_strays(frame.into(depth))
         seen = self._put(to_tensor(frame.into(rgb)[None]), *depth_tensors(small, depth_bounds(small)))
         logits = self.parts["region"](*seen)["logits"]
-        if self.config.refine.mirrored:
-            mirrored = self.parts["region"](*(x.flip(-1) for x in seen))["logits"]
-            logits = torch.cat([logits, mirrored.flip(-1)])
-        return F.interpolate(logits, size=self.config.size, mode="bilinear", antialias=True)
+        return F.interpolate(logits, size=self.config.size, mode="bilinear", antialias=True)[0]
 
     def refine(self, mask: np.ndarray, kernels: RefineConfig | None = None) -> np.ndarray:
         """Refine a mask at the working size (Paper: Sec. IV-B), with the configuration's kernels unless others come."""

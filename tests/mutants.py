@@ -635,8 +635,7 @@ INPUTS = [
         "pipeline",
         ("the padding is claimed", "self.refine(claimed & frame.picture, refine)", "self.refine(claimed, refine)"),
         ("branches: the same noise", "2 * seed + BRANCHES.index(branch)", "2 * seed"),
-        ("looks: a mirrored one is not turned back", "mirrored.flip(-1)]", "mirrored]"),
-        ("looks: only the first", "if scale == 1 or larger", "if scale == 1"),
+        ("looks: only the first", "for scale in refine.looks]", "for scale in refine.looks[:1]]"),
     ),
     *family(
         "stage one scored",

@@ -120,7 +120,8 @@ def test_settings_that_are_right_only_together_are_taken_in_any_order():
         ({"std.base": "0.1"}, "each of 2 branches"),
         ({"window": 100}, "window: expected 0 or a multiple of 32, got 100"),
         ({"refine.threshold": 1.0}, "a threshold between 0 and 1"),
-        ({"refine.looks": (0.5,)}, "1.0 first and no size below it"),
+        ({"refine.looks": (0.5,)}, "none below 1"),
+        ({"refine.looks": ()}, "at least one size"),
         ({"refine.temperature": 0.0}, "a temperature above 0"),
     ],
 )
@@ -139,3 +140,9 @@ def test_from_dict_refuses_unknown_keys():
 def test_configurations_cannot_be_changed():
     with pytest.raises(AttributeError):
         config.preset("lite").unet.width = 3
+
+
+def test_stage_one_is_trained_for_its_first_look():
+    assert config.preset("tiny").look() == config.preset("tiny").size
+    looks = config.override(config.preset("tiny"), **{"refine.looks": (1.5, 1.0)})
+    assert looks.look() == looks.look(1.5) == (96, 144) and looks.look(1.0) == looks.size

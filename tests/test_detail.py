@@ -67,16 +67,6 @@ def test_trust_inside_the_region_is_learnt_apart_from_that_outside():
         assert torch.allclose(net(held), wanted) and not torch.allclose(wanted, none)
 
 
-def test_strength_draws_the_trust_inside_the_region_towards_the_start_and_nothing_else():
-    net, x = build()
-    learnt = net.train().predict(x)
-    net.strength = 0.0
-    drawn = net.eval().predict(x)
-    assert torch.allclose(drawn[2][:, 1], torch.sigmoid(torch.tensor(-1.0)).expand_as(drawn[2][:, 1]))
-    assert not torch.allclose(learnt[2][:, 1], drawn[2][:, 1]) and torch.equal(learnt[2][:, 0], drawn[2][:, 0])
-    assert all(torch.equal(learnt[k], drawn[k]) for k in (0, 1)) and torch.equal(learnt[3][0], drawn[3][0])
-
-
 def test_shape_and_gradient_to_every_parameter():
     net, x = build()
     out = net(x)

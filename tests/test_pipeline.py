@@ -249,24 +249,16 @@ def test_temperature_makes_stage_one_less_sure(ditr):
     assert np.abs(unsure - 2 / 3).mean() < np.abs(sure - 2 / 3).mean()  # towards two classes of three
 
 
-def test_with_mirrored_looks_a_mirrored_frame_has_the_mirrored_region(ditr):
-    rgb, depth, _ = frame(64, 96)
-    mirrored = [np.ascontiguousarray(x[:, ::-1]) for x in (rgb, depth)]
-    plain, turned = (ditr.find_region(*given)[0] for given in ((rgb, depth), mirrored))
-    assert np.abs(plain - turned[:, ::-1]).max() > 1e-3
-    both = Ditr(untrained(), override(TINY, **{"refine.mirrored": True}))
-    plain, turned = (both.find_region(*given)[0] for given in ((rgb, depth), mirrored))
-    assert np.allclose(plain, turned[:, ::-1], atol=1e-5)
-
-
-def test_a_second_larger_look_is_taken_where_the_frame_has_the_pixels(ditr):
-    twice = Ditr(untrained(), override(TINY, **{"refine.looks": (1.0, 1.5)}))
-    small, large = frame(64, 96)[:2], frame(128, 192)[:2]
-    assert np.array_equal(twice.classify(*small)[1], ditr.classify(*small)[1])
-    logits = torch.cat([ditr.region_logits(*large, scale) for scale in (1.0, 1.5)])
-    _, classes = twice.classify(*large)
-    assert np.allclose(classes, logits.mean(0).softmax(0).numpy(), atol=1e-6)
-    assert np.abs(classes - ditr.classify(*large)[1]).max() > 1e-3
+def test_the_logits_of_all_looks_are_averaged_at_the_working_size(ditr):
+    looks = (1.5, 1.0)
+    closer = Ditr(untrained(), override(TINY, **{"refine.looks": looks}))
+    for given in (frame(64, 96)[:2], frame(128, 192)[:2]):
+        size, classes = closer.classify(*given)
+        assert (size.height, size.width) == (64, 96) and classes.shape == (3, 64, 96)
+        logits = torch.stack([closer.region_logits(*given, scale) for scale in looks])
+        assert np.allclose(classes, logits.mean(0).softmax(0).numpy(), atol=1e-6)
+        assert np.allclose(ditr.classify(*given)[1], logits[1].softmax(0).numpy(), atol=1e-6)
+        assert (logits[0] - logits[1]).abs().max() > 1e-3
 
 
 # --- who paints what --------------------------------------------------------------------------------------------------

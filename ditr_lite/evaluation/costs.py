@@ -65,13 +65,13 @@ def costs(config: Config, sam: bool = False, windows: int = 1) -> list[Row]:
 
 
 def _stage_one(net: nn.Module, config: Config) -> list[Row]:
-    """Count stage one on a frame that has the pixels for every look."""
+    """Count stage one, look by look."""
     rows = []
     for scale in config.refine.looks:
-        size = tuple(round(scale * n) for n in config.size)
+        size = config.look(scale)
         one, rgb = torch.zeros(1, 1, *size), torch.zeros(1, 3, *size)
         name = "region" if scale == 1 else f"region, {scale:g} times as large"
-        rows.append(_row("one", name, (scale == 1) * _parameters(net), 1 + config.refine.mirrored, net, rgb, one, one))
+        rows.append(_row("one", name, (scale == config.refine.looks[0]) * _parameters(net), 1, net, rgb, one, one))
     return rows
 
 

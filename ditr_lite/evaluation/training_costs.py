@@ -121,7 +121,7 @@ def count_training(fn: Callable[[], Sequence[Tensor]], model: nn.Module) -> tupl
 
 def _given(part: str, config: Config) -> tuple[Tensor, Tensor]:
     """Return a picture (1, 3, H, W) and a depth map (1, 1, H, W) of the size that a part sees in training."""
-    height, width = config.size
+    height, width = config.look() if part == "region" else config.size
     if part == "optical" and config.window:
         height = width = config.window
     if part == "autoencoder":

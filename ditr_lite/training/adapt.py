@@ -197,7 +197,7 @@ def branch_errors(branch: str, painter: Any, config: Config, scenes: Scenes, bou
 def region_errors(model: nn.Module, config: Config, scenes: Scenes) -> np.ndarray:
     """Return 1 - IoU of each scene, NaN where there is neither a region nor a claim."""
     found: list[float] = []
-    for batch in frames_in_order(scenes, config.size):
+    for batch in frames_in_order(scenes, config.look()):
         given = batch.to(device_of(model))
         probability = region_probability(model(given.rgb, given.depth_n, given.valid))[:, 0].cpu()
         for claimed, true in zip((probability > 0.5).numpy(), batch.region[:, 0].numpy() > 0, strict=True):

@@ -25,7 +25,7 @@ def colours(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def dusk(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Darken an (H, W, 3) uint8 image as at night: dim, tinted, one side dimmer than the other, with a sensor's noise."""
+    """Darken an (H, W, 3) uint8 image as at night: dim, tinted, dimmer on one side, with a sensor's noise."""
     height, width = rgb.shape[:2]
     y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
     slope = rng.uniform(-0.6, 0.6, 2)

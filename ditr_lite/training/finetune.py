@@ -21,6 +21,7 @@ painted *elsewhere* is left out.
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -219,9 +220,21 @@ def score_final(
     share: Share,
 ) -> Losses:
     """Score stage one by its classes and by the final depth that follows from its region."""
-    outputs = model(drawn.rgb, drawn.depth_n, drawn.valid)
+    outputs = at_first_look(model, drawn, config)
     weight = drawn.rgb.new_tensor(CLASS_WEIGHTS)
     segmentation = region_loss(outputs, drawn.material, weight)["total"]
     region = soft_region(region_probability(outputs), config.refine, straight_through=straight_through)
     rmse = final_rmse(final_depth(drawn, region, paints), drawn)
     return {"total": segmentation + rmse_weight * rmse, "segmentation": segmentation, "rmse_m": rmse}
+
+
+def at_first_look(model: nn.Module, batch: Batch, config: Config) -> dict[str, Any]:
+    """Return what stage one says of a batch at the working size, looking at it at the size that it is trained for."""
+    size = config.look()
+    if size == config.size:
+        return model(batch.rgb, batch.depth_n, batch.valid)
+    rgb = F.interpolate(batch.rgb, size=size, mode="bilinear", align_corners=False)
+    depth_n, valid = (F.interpolate(x, size=size, mode="nearest") for x in (batch.depth_n, batch.valid))
+    outputs = model(rgb, depth_n, valid)
+    back = {key: F.interpolate(outputs[key], size=config.size, mode="bilinear") for key in ("logits", "boundary")}
+    return outputs | back

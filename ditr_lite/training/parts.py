@@ -250,7 +250,7 @@ def some_latents(model: nn.Module, pool: Pool, config: Config, batches: int = 20
 def validate_region(model: nn.Module, config: Config, scenes: Scenes) -> dict[str, float]:
     """Return the mean IoU at threshold 0.5 over scenes with glass, and the share of all pixels claimed by mistake."""
     overlaps, mistaken = [], []
-    for batch in frames_in_order(scenes, config.size):
+    for batch in frames_in_order(scenes, config.look()):
         given = batch.to(device_of(model))
         found = (region_probability(model(given.rgb, given.depth_n, given.valid))[:, 0] > 0.5).cpu()
         for claimed, true in zip(found.numpy(), batch.region[:, 0].numpy() > 0, strict=True):

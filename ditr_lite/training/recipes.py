@@ -30,7 +30,7 @@ from .scenes import Pool
 
 CLASS_WEIGHTS = (0.4, 1.0, 1.0)  # background, transparent, reflective
 FROZEN_STAGES = 2  # of the pretrained encoder, in stage one: what edges look like is known, and these cost most
-STILL, STILL_SHARE = 0.25, 0.7  # last part of stage one's training, and the share of its batches, in which frames stay
+STILL, STILL_SHARE = 0.5, 0.7  # last part of stage one's training, and the share of its batches, in which frames stay
 MIXED_SHARE = 0.4  # of stage one's frames, before that, in which two scenes are mixed: scenes are few
 CROP = 64  # pixels a side that the autoencoder sees: it is convolutional
 LAST_STEP_SHARE = 0.5  # of a batch is noised fully: one-step sampling begins, and ends, there
@@ -63,7 +63,7 @@ def draw_region(pool: Pool, config: Config, recipe: Recipe, seed: int, step: int
     rng = rng_of(seed, step)
     still = step >= (1 - STILL) * recipe.steps and rng.random() < STILL_SHARE
     mixed = 0.0 if still else MIXED_SHARE
-    return draw_frames(pool, recipe.batch, config.size, rng, still=still, mixed=mixed, share=share)
+    return draw_frames(pool, recipe.batch, config.look(), rng, still=still, mixed=mixed, share=share)
 
 
 def score_region(model: nn.Module, batch: Batch, step: int, share: Share) -> Losses:

@@ -177,8 +177,8 @@ def blunder(region: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def read_truly(view: View, rng: np.random.Generator) -> View:
     """Let the sensor read parts of the glass and metal as they are, but for a bias and noise; all else stays.
 
-    Real glass is read more truthfully than rendered glass: it is scratched, dusty, patterned, or of plastic. Whoever only
-    sees rendered readings learns never to trust one.
+    Real glass is read more truthfully than rendered glass: it is scratched, dusty, patterned, or of plastic. Whoever
+    only sees rendered readings learns never to trust one.
     """
     field = bumps(view.depth.shape, rng)
     true = ((view.material == 1) | (view.material == 2)) & (view.depth_gt > 0)

@@ -16,6 +16,7 @@ from ditr_lite.region import refine_region, region_probability
 from ditr_lite.training import finetune
 from ditr_lite.training.batches import frames_in_order
 from ditr_lite.training.finetune import (
+    at_first_look,
     final_depth,
     final_rmse,
     finetune_region,
@@ -184,6 +185,21 @@ def test_stage_two_stays_frozen_and_stage_one_moves(scenes, parts):
     assert all(torch.equal(v, before[k]) for k, v in parts.state_dict().items())
     assert not torch.equal(model.classify.weight, parts["region"].classify.weight)
     assert not model.training and not any(p.requires_grad for p in model.parameters())
+
+
+def test_stage_one_is_shown_frames_at_the_size_of_its_first_look(scenes, parts):
+    batch, sizes = frames(scenes), []
+
+    def net(rgb, depth_n, valid):
+        sizes.append({tuple(x.shape[2:]) for x in (rgb, depth_n, valid)})
+        assert set(valid.unique().tolist()) <= {0, 1}
+        return parts["region"](rgb, depth_n, valid)
+
+    closer = override(TINY, **{"refine.looks": (1.5,)})
+    plain, larger = at_first_look(net, batch, TINY), at_first_look(net, batch, closer)
+    assert sizes == [{TINY.size}, {(96, 144)}]
+    for key in ("logits", "boundary"):
+        assert larger[key].shape == plain[key].shape and not torch.allclose(larger[key], plain[key])
 
 
 @pytest.mark.parametrize("steps, batch", [(0, 1), (1, 0)])
