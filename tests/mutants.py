@@ -386,6 +386,49 @@ REGION = [
         ("deep supervision of nothing", "drawn.material, weight)", "0 * drawn.material, weight)"),
     ),
     *family(
+        "the first look",
+        "training/recipes",
+        (
+            "stage one: trained at the working size",
+            "recipe.batch, config.look(), rng",
+            "recipe.batch, config.size, rng",
+        ),
+    ),
+    *family(
+        "the first look",
+        "training/parts",
+        ("stage one: validated at the working size", "scenes, config.look())", "scenes, config.size)"),
+        ("one folder: any looks", '"refine.looks", ', ""),
+    ),
+    *family(
+        "the first look",
+        "evaluation/training_costs",
+        ("stage one: costs the working size", 'config.look() if part == "region" else', ""),
+    ),
+    *family(
+        "the first look",
+        "training/finetune",
+        ("fine-tuning: at the working size", "size = config.look()", "size = config.size"),
+    ),
+    *family(
+        "the first look",
+        "config",
+        ("a look: of the first alone", "self.refine.looks[0] if scale is None else scale", "self.refine.looks[0]"),
+    ),
+    *family(
+        "glass that is read as it is",
+        "training/views",
+        ("read truly: opaque things, too", "true = lossy(view.material) & (", "true = (view.material >= 0) & ("),
+        ("read truly: all of it", "rng.uniform(0, 0.8)))", "0))"),
+        ("read truly: holes are always filled", "read &= view.depth > 0", "pass"),
+        ("read truly: half a metre too near", "view.depth_gt * (1 + bias", "view.depth_gt * (0.5 + bias"),
+    ),
+    *family(
+        "glass that is read as it is",
+        "training/batches",
+        ("read truly: never", "READ_TRULY = 0.4", "READ_TRULY = 0.0"),
+    ),
+    *family(
         "soft region (S4)",
         "training/finetune",
         ("threshold: at 0", "torch.sigmoid(steepness * (x - 0.5))", "torch.sigmoid(steepness * x)"),

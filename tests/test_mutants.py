@@ -8,6 +8,8 @@ from mutants import MUTANTS, ROOT, Mutant, mutate
 
 FORMULAS = {  # each has its own family of mistakes
     "schedule",
+    "the first look",
+    "glass that is read as it is",
     "forward (Eq. 7)",
     "conversions (Eq. 9)",
     "loss (Eq. 8)",

@@ -17,16 +17,14 @@ from torch import nn
 
 from ..config import Config
 from ..metrics import iou
-from ..region import region_probability
 from ..stage_two import BRANCHES
 from ..store import WEIGHTS, copy_weights, load_part, read_card, save_part
-from .batches import frames_in_order
 from .loop import ENGINE, Engine, Recipe, fit, is_first, wait_for_all
 from .parts import (
     NETWORKS,
     assemble,
     check_same_system,
-    device_of,
+    claims_in_order,
     painter_of,
     parts_with,
     scene_errors,
@@ -193,15 +191,11 @@ def branch_errors(branch: str, painter: Any, config: Config, scenes: Scenes, bou
     return found
 
 
-@torch.no_grad()
 def region_errors(model: nn.Module, config: Config, scenes: Scenes) -> np.ndarray:
     """Return 1 - IoU of each scene, NaN where there is neither a region nor a claim."""
     found: list[float] = []
-    for batch in frames_in_order(scenes, config.look()):
-        given = batch.to(device_of(model))
-        probability = region_probability(model(given.rgb, given.depth_n, given.valid))[:, 0].cpu()
-        for claimed, true in zip((probability > 0.5).numpy(), batch.region[:, 0].numpy() > 0, strict=True):
-            found.append(1 - iou(claimed, true) if (claimed | true).any() else np.nan)
+    for claimed, true in claims_in_order(model, config, scenes):
+        found.append(1 - iou(claimed, true) if (claimed | true).any() else np.nan)
     return np.array(found)
 
 

@@ -231,8 +231,6 @@ def score_final(
 def at_first_look(model: nn.Module, batch: Batch, config: Config) -> dict[str, Any]:
     """Return what stage one says of a batch at the working size, looking at it at the size that it is trained for."""
     size = config.look()
-    if size == config.size:
-        return model(batch.rgb, batch.depth_n, batch.valid)
     rgb = F.interpolate(batch.rgb, size=size, mode="bilinear", align_corners=False)
     depth_n, valid = (F.interpolate(x, size=size, mode="nearest") for x in (batch.depth_n, batch.valid))
     outputs = model(rgb, depth_n, valid)

@@ -28,7 +28,7 @@ from .scenes import Pool, Scenes, checksum, load_scenes
 
 PARTS = ("autoencoder", "region", "optical", "geometric", "detail")  # in the order in which they need each other
 NETWORKS = ("region", "autoencoder", "schedule", "unet", "detail")  # settings that make the networks
-SYSTEM = (*NETWORKS, "size", "window", "sampler.prediction", "evidence")  # and all others that weights are trained for
+SYSTEM = (*NETWORKS, "size", "window", "refine.looks", "sampler.prediction", "evidence")  # weights are for all these
 NEEDS = {"optical": ["autoencoder"], "geometric": ["autoencoder"], "detail": ["autoencoder", *BRANCHES]}
 PRETRAINED = "encoder"  # not trained here: see tools/import_encoder.py
 
@@ -250,14 +250,20 @@ def some_latents(model: nn.Module, pool: Pool, config: Config, batches: int = 20
 def validate_region(model: nn.Module, config: Config, scenes: Scenes) -> dict[str, float]:
     """Return the mean IoU at threshold 0.5 over scenes with glass, and the share of all pixels claimed by mistake."""
     overlaps, mistaken = [], []
+    for claimed, true in claims_in_order(model, config, scenes):
+        if true.any():
+            overlaps.append(iou(claimed, true))
+        mistaken.append(float((claimed & ~true).mean()))
+    return {"iou": float(np.mean(overlaps)) if overlaps else float("nan"), "false": float(np.mean(mistaken))}
+
+
+@torch.no_grad()
+def claims_in_order(model: nn.Module, config: Config, scenes: Scenes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield what stage one claims of each scene, above 1/2 at its first look, and the true region, (H, W) bool each."""
     for batch in frames_in_order(scenes, config.look()):
         given = batch.to(device_of(model))
         found = (region_probability(model(given.rgb, given.depth_n, given.valid))[:, 0] > 0.5).cpu()
-        for claimed, true in zip(found.numpy(), batch.region[:, 0].numpy() > 0, strict=True):
-            if true.any():
-                overlaps.append(iou(claimed, true))
-            mistaken.append(float((claimed & ~true).mean()))
-    return {"iou": float(np.mean(overlaps)) if overlaps else float("nan"), "false": float(np.mean(mistaken))}
+        yield from zip(found.numpy(), batch.region[:, 0].numpy() > 0, strict=True)
 
 
 def validate_autoencoder(model: nn.Module, config: Config, scenes: Scenes) -> dict[str, float]:

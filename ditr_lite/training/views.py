@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from ..data import REFLECTIVE, TRANSPARENT
 from ..region import IGNORE
 from ..windows import LEAST, MARGIN
 from .augment import colours, dusk, glare
@@ -51,10 +52,15 @@ def look(scenes: Scenes, i: int, matrix: np.ndarray, size: tuple[int, int], clai
     depth = cv2.warpAffine(scenes.depth[i], matrix, wh, flags=nearest).astype(np.float32) / 1000
     gt = cv2.warpAffine(scenes.depth_gt[i], matrix, wh, flags=nearest).astype(np.float32) / 1000
     material = cv2.warpAffine(scenes.material[i], matrix, wh, flags=nearest, borderValue=IGNORE)
-    region = (material == 1) | (material == 2)
+    region = lossy(material)
     if claimed is not None:
         region |= cv2.warpAffine(claimed.astype(np.uint8), matrix, wh, flags=nearest) > 0
     return View(rgb, depth, gt, material, region)
+
+
+def lossy(material: np.ndarray) -> np.ndarray:
+    """Return where material codes say glass or metal; beyond a scene's border they say neither."""
+    return (material == TRANSPARENT) | (material == REFLECTIVE)
 
 
 def placement(
@@ -114,7 +120,7 @@ def window_view(
         rng: draws the blob, the window about it and the mistakes.
         mistaken: chance that the region is not the true one.
     """
-    region = (scenes.material[i] == 1) | (scenes.material[i] == 2)
+    region = lossy(scenes.material[i])
     claimed = None
     wrong = rng.random() < mistaken or not region.any()
     if wrong:
@@ -181,7 +187,7 @@ def read_truly(view: View, rng: np.random.Generator) -> View:
     only sees rendered readings learns never to trust one.
     """
     field = bumps(view.depth.shape, rng)
-    true = ((view.material == 1) | (view.material == 2)) & (view.depth_gt > 0)
+    true = lossy(view.material) & (view.depth_gt > 0)
     if not true.any():
         return view
     read = true & (field > np.quantile(field[true], rng.uniform(0, 0.8)))

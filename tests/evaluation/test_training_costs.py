@@ -47,6 +47,13 @@ def test_every_part_is_counted(part):
     assert (cost.frozen > 0) == (part not in ("region", "autoencoder"))
 
 
+def test_stage_one_costs_what_its_first_look_costs():
+    closer = override(TINY, **{"refine.looks": (1.5, 1.0)})
+    for part, factor in (("region", 2.25), ("geometric", 1.0)):
+        assert step_cost(part, closer, RECIPE).flops == pytest.approx(factor * step_cost(part, TINY, RECIPE).flops)
+    assert "views of 144 x 96" in format_cost("region", closer, RECIPE)
+
+
 def test_hours_are_operations_over_the_rate_and_the_text_says_all():
     cost = step_cost("region", TINY, RECIPE)
     assert cost.hours(3600, cost.flops) == 1.0

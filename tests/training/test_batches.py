@@ -5,6 +5,7 @@ from made_scenes import make_scenes
 
 from ditr_lite.boundary import boundary_maps, get_backend
 from ditr_lite.conditioning import depth_bounds
+from ditr_lite.training import batches
 from ditr_lite.training.batches import (
     batch_of,
     draw_frames,
@@ -94,6 +95,16 @@ def test_a_seed_draws_the_same_batch_again(scenes):
         one, again, other = (draw(pool, 3, size, rng(seed), get_backend("classical")) for seed in (3, 3, 4))
         assert same(one, again) and not torch.equal(one.rgb, other.rgb)
         assert not torch.equal(one.rgb[1], one.rgb[2])
+
+
+def test_some_windows_show_glass_that_is_read_as_it_is_and_no_frame_does(scenes, monkeypatch):
+    seen = []
+    monkeypatch.setattr(batches, "read_truly", lambda view, rng: seen.append(view) or view)
+    pool = Pool([scenes])
+    draw_frames(pool, 40, SIZE, rng())
+    assert not seen
+    draw_windows(pool, 400, 32, rng(1))
+    assert 0.3 < len(seen) / 400 < 0.5
 
 
 def test_a_pool_of_sizes_gives_batches_of_one(scenes):

@@ -13,6 +13,7 @@ from ditr_lite.training.loop import Recipe
 from ditr_lite.training.parts import (
     PARTS,
     check_same_system,
+    claims_in_order,
     folder_name,
     needs,
     root_mean_square,
@@ -132,7 +133,7 @@ def test_settings_name_a_folder():
 
 def test_one_folder_holds_one_system(trained, data):
     home = trained[0]
-    changes = [{"size": "32,64"}, {"window": 96}, {"evidence": False}]
+    changes = [{"size": "32,64"}, {"window": 96}, {"evidence": False}, {"refine.looks": "1.5"}]
     changes.append({"sampler.prediction": "v", "unet.anchor": False})
     for change in [*changes, {"detail.width": 16}]:
         before = (home / "weights" / "card.json").read_bytes()
@@ -170,6 +171,25 @@ def test_parts_need_those_that_they_build_on():
     assert needs("detail", TINY) == ["autoencoder", "optical", "geometric"] and needs("region", TINY) == []
     assert needs("region", lite) == ["encoder"] and needs("optical", lite) == ["autoencoder", "encoder"]
     assert needs("autoencoder", lite) == []
+
+
+def test_stage_one_is_validated_at_its_first_look(data):
+    scenes, sizes = load_scenes(data), set()
+
+    class Claiming(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.bias = torch.nn.Parameter(torch.zeros(1))
+
+        def forward(self, rgb, depth_n, valid):
+            sizes.add(tuple(rgb.shape[2:]))
+            glass = torch.linspace(-9, 9, rgb.shape[3]).expand(rgb[:, 0].shape)  # claimed in the right half
+            return {"logits": torch.stack([-glass, glass, torch.full_like(glass, -99)], dim=1)}
+
+    pairs = list(claims_in_order(Claiming(), override(TINY, **{"refine.looks": (1.5,)}), scenes))
+    assert sizes == {(96, 144)} and len(pairs) == len(scenes)
+    for claimed, true in pairs:
+        assert claimed[:, 72:].all() and not claimed[:, :72].any() and true.shape == (96, 144) and true.any()
 
 
 @pytest.mark.parametrize(("branch", "due"), [("optical", 0.01), ("geometric", 0.0)])

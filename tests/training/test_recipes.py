@@ -13,7 +13,7 @@ from ditr_lite.schedule import make_schedule
 from ditr_lite.stage_two import BRANCHES, Views, paint
 from ditr_lite.training import recipes
 from ditr_lite.training.batches import frames_in_order
-from ditr_lite.training.loop import Recipe
+from ditr_lite.training.loop import WHOLE, Recipe
 from ditr_lite.training.parts import PARTS, PRETRAINED, painter_of
 from ditr_lite.training.recipes import branch_batch, branch_inputs, freeze_early, one_step, rng_of
 from ditr_lite.training.scenes import Pool
@@ -91,6 +91,12 @@ def test_a_step_can_be_drawn_again(part, parts, pool):
 
 def plain(scenes):
     return next(frames_in_order(scenes, TINY.size, backend=BACKEND))
+
+
+def test_stage_one_trains_at_its_first_look(pool):
+    closer = override(TINY, **{"refine.looks": (1.5, 1.0)})
+    for config, size in ((TINY, (64, 96)), (closer, (96, 144))):
+        assert recipes.draw_region(pool, config, RECIPE, 0, 3, WHOLE).rgb.shape == (2, 3, *size)
 
 
 def test_branches_share_what_there_is_to_paint(scenes):

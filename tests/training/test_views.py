@@ -183,7 +183,9 @@ def test_glass_is_read_as_it_is_in_parts_and_nothing_else_changes(scenes):
         if read.any():
             assert np.abs(np.log(out.depth[read] / view.depth_gt[read])).max() < 0.1
             assert np.median(out.depth[read] / view.depth_gt[read]) > 0.98  # a bias is away from the camera
-    assert 0.3 < np.mean(np.array(shares) == 0) < 0.7 and max(shares) > 0.6  # half of the time holes stay holes
+    shares = np.array(shares)
+    assert 0.3 < np.mean(shares == 0) < 0.7  # half of the time holes stay holes
+    assert shares[shares > 0].min() < 0.5 and shares.max() > 0.6  # parts of the glass, small and large
     nothing = replace(view, material=np.zeros_like(view.material))
     assert read_truly(nothing, rng()) is nothing
 
