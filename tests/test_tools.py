@@ -11,6 +11,7 @@ import numpy as np
 import paper_map
 import pytest
 import readme_results
+import real_frames
 import region_study as study
 import result_picture as picture
 import soak
@@ -204,6 +205,32 @@ def test_the_disturbance_table_goes_into_the_readme():
     assert "| 300 readings | 0.80 [0.70, 0.90] |" in text and "`python x`" in text
     card = {"parts": {"a": {"steps": 2, "seconds": 60, "scenes": {"x": 3, "y": 4}}, "encoder": {"sha256": "0"}}}
     assert "| a | 7 | 2 | 1 |" in readme_results.training(card) and "encoder" not in readme_results.training(card)
+
+
+FRAMES = """
+from ditr_lite import load_sample
+
+
+def frames():
+    scene = load_sample("test_00000")
+    yield "desk", scene.rgb, scene.depth, scene.depth_gt, scene.region
+    yield "hall (no glass)", scene.rgb, scene.depth, None, None
+"""
+
+
+def test_real_frames_of_a_readers_own_file_go_into_the_readme(tmp_path):
+    (tmp_path / "mine.py").write_text(FRAMES, encoding="utf-8")
+    assert real_frames.main([str(tmp_path / "mine.py"), "--json", str(tmp_path / "results.json")]) == 0
+    result = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+    desk, hall = result["frames"].values()
+    assert set(desk["rmse_m"]) == {"ditr", real_frames.GIVEN, *real_frames.BASELINES}
+    assert 0 <= desk["missed"] < 1 and hall["missed"] is hall["area"] is hall["rmse_m"] is None
+    assert desk["claimed"] == hall["claimed"] and desk["moved"] < hall["moved"]  # the true region may move
+    minus = desk["rmse_m"]["ditr"]["optical"] - desk["rmse_m"]["raw"]["optical"]
+    assert result["differences"]["raw"]["optical"] == pytest.approx([minus] * 3, abs=1e-6)
+    text = readme_results.real(result)
+    assert "1 frames" in text and "| hall (without glass) |" in text and "`python tools/real_frames.py mine.py`" in text
+    assert real_frames.summarise({"hall": hall}) == {}
 
 
 def peer_report():
