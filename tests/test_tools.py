@@ -253,6 +253,12 @@ def test_the_peers_go_into_the_readme(monkeypatch):
     assert text.count("+DP after BB, optical, per training seed") == 2 and "1 without" in text
 
 
+def test_long_sections_are_folded_under_their_first_paragraph():
+    text = readme_results.folded("**What.** Why.\n\n| a |\n|---|\n\nCommand.", "Table")
+    assert text.startswith("**What.** Why.\n\n<details><summary>Table</summary>\n\n| a |")
+    assert text.endswith("Command.\n\n</details>")
+
+
 def test_the_variants_of_the_denoiser_go_into_the_readme():
     ways = [denoisers.way_of(*asked) for asked in denoisers.ASKED]
     errors = {"default": dict.fromkeys(ways, np.full(4, 0.02)), "eps": dict.fromkeys(ways, np.full(4, 0.03))}

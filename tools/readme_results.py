@@ -242,6 +242,12 @@ def variants(result: dict) -> str:
     return "\n".join(lines)
 
 
+def folded(text: str, summary: str) -> str:
+    """Leave the first paragraph of a long section in sight, and fold the rest under ``summary``."""
+    first, rest = text.split("\n\n", maxsplit=1)
+    return f"{first}\n\n<details><summary>{summary}</summary>\n\n{rest}\n\n</details>"
+
+
 def main() -> None:
     """Rewrite the README in place."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -259,10 +265,10 @@ def main() -> None:
     if frames.is_file():
         made += "\n\n" + real(json.loads(frames.read_text(encoding="utf-8")))
     if peer_tables.RESULTS.is_file():
-        made += "\n\n" + peers(peer_tables.load_results())
+        made += "\n\n" + folded(peers(peer_tables.load_results()), "Tables of the peers, and oracles")
     kinds = args.json.with_name("results_denoiser.json")
     if kinds.is_file():
-        made += "\n\n" + variants(json.loads(kinds.read_text(encoding="utf-8")))
+        made += "\n\n" + folded(variants(json.loads(kinds.read_text(encoding="utf-8"))), "Table of the variants")
     bench = args.json.with_name("results_bench.json")
     if bench.is_file():
         made += "\n\n" + costs(json.loads(bench.read_text(encoding="utf-8")))
@@ -273,7 +279,7 @@ def main() -> None:
             made += "\n\n" + disturbances(found)
     soaked = args.json.with_name("results_soak.json")
     if soaked.is_file():
-        made += "\n\n" + soak(json.loads(soaked.read_text(encoding="utf-8")))
+        made += "\n\n" + folded(soak(json.loads(soaked.read_text(encoding="utf-8"))), "Table of the checks")
     made += "\n\n" + training(read_card())
     args.readme.write_text(f"{before}{START}\n{made}\n{END}{after}", encoding="utf-8")
 
