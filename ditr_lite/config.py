@@ -204,7 +204,7 @@ PRESETS: dict[str, Config] = {
         refine=RefineConfig(  # temperature, as std: on validation scenes
             looks=(1.5, 1.0, 2.0), median=3, dilate=3, iterations=1, temperature=1.1637
         ),
-        std=StdConfig(base=(0.0571, 0.0159), factor=(6.9597, 9.1852), kept=0.0172, missed=0.1467),
+        std=StdConfig(base=(0.0558, 0.0141), factor=(6.6367, 11.6288), kept=0.0172, missed=0.1467),
     ),
     "paper": Config(
         name="paper",
