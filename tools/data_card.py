@@ -247,10 +247,10 @@ hall. Some have neither glass nor metal.
 - They also had a say in stage one. On validation scenes its last training was better on table tops and no better in
   rooms, where it misses more and claims less by mistake; on real frames it claims less where there is no glass, and is
   shipped. The sizes at which it looks were chosen in the same way, among three that validation scenes rate alike.
-  A further training of it, with truthful readings in 40 % of the frames, was rated alike by validation scenes (.645 and
-  .621 against .661 and .607), but claimed twice as much in a real frame without glass, and was left out.
+  A further training of it, with truthful readings in 40 % of the frames, was rated alike by validation scenes, but
+  claimed more in a real frame without glass, and was left out.
 - And in the final step: it stays as it was before the branches' last 1,500 and 2,500 steps. Trained once more, on what
-  they paint now, it was rated alike by validation scenes and was 0.8 mm worse on the three real frames.
+  they paint now, it was rated alike by validation scenes and was worse on each of the three real frames.
 
 ## How they were made
 

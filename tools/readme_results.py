@@ -41,11 +41,8 @@ def section(result: dict, title: str, file: str) -> str:
         "DITR minus baseline, RMSE in millimetres, mean and 95 % interval of a bootstrap paired over scenes (below 0: "
         "DITR is better):",
         "",
-        "| baseline | optical | optical_valid | geometric |",
-        "|---|---:|---:|---:|",
+        *minus(report["differences"], SETS[:3]),
     ]
-    for name, row in report["differences"].items():
-        lines.append(f"| {name} | " + " | ".join(format_interval(row[k], 1000, missing="–") for k in SETS[:3]) + " |")
     one = report["stage_one"]
     lines += [
         "",
@@ -69,6 +66,14 @@ def table(report: dict, sets: tuple[str, ...] = SETS) -> list[str]:
     return lines
 
 
+def minus(differences: dict, sets: tuple[str, ...]) -> list[str]:
+    """Return the lines of a Markdown table of differences in millimetres with intervals, baseline x pixel set."""
+    lines = ["| baseline | " + " | ".join(sets) + " |", "|---|" + "---:|" * len(sets)]
+    for name, row in differences.items():
+        lines.append(f"| {name} | " + " | ".join(format_interval(row[k], 1000, missing="–") for k in sets) + " |")
+    return lines
+
+
 def real(result: dict) -> str:
     """Return the paragraph about real frames: errors where the truth is known, and what is claimed and moved."""
     frames = result["frames"]
@@ -89,12 +94,7 @@ def real(result: dict) -> str:
         "",
         "DITR minus baseline, RMSE in millimetres, mean and 95 % interval of a bootstrap paired over these frames:",
         "",
-        "| baseline | " + " | ".join(SETS) + " |",
-        "|---|" + "---:|" * len(SETS),
-    ]
-    for name, row in result["differences"].items():
-        lines.append(f"| {name} | " + " | ".join(format_interval(row[k], 1000, missing="–") for k in SETS) + " |")
-    lines += [
+        *minus(result["differences"], SETS),
         "",
         "What stage one claims of each frame, masks drawn by hand included, and how many readings outside the true "
         "region moved by more than 2 cm. Where no mask is known, every reading counts; frames *without glass* should "

@@ -11,16 +11,16 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from readme_results import SETS
 
 import ditr_lite as dl
 from ditr_lite import metrics
 from ditr_lite.baselines import REGISTRY
 from ditr_lite.evaluation import results
 from ditr_lite.evaluation.statistics import interval, paired_bootstrap
-from ditr_lite.peers.compare import MOVED_M, frames_of_file
+from ditr_lite.peers.compare import frames_of_file, moved_share, score_rendered
+from ditr_lite.pipeline import compose
 
-SETS = ("optical", "optical_valid", "geometric", "outside", "whole")
 GIVEN = "ditr, true mask"
 BASELINES = ("raw", "harmonic", "keep_and_fill", "keep_and_fill_debiased")
 AGAINST = ("raw", "keep_and_fill", "keep_and_fill_debiased")
@@ -35,30 +35,22 @@ def complete_frame(ditr: dl.Ditr, sample: dl.Sample) -> dict[str, Any]:
 
     Returns:
         ``claimed``, share of the picture; ``missed``, of the true region, and ``area``, times the true one, or None;
-        ``moved``, share of all pixels outside the true region (anywhere, where none is known) whose reading moved by
-        more than 2 cm; ``rmse_m``, method -> pixel set -> metres, or None.
+        ``moved``, see ``peers.compare.moved_share``; ``rmse_m``, method -> pixel set -> metres, or None.
     """
-    out, read = ditr(sample.rgb, sample.depth), sample.depth > 0
-    moved = read & (np.abs(out.depth - sample.depth) > MOVED_M)
+    out = ditr(sample.rgb, sample.depth)
     row = {"claimed": float(out.region.mean()), "missed": None, "area": None, "rmse_m": None}
     if sample.region is not None:
-        moved &= ~sample.region
         row["missed"] = metrics.miss_rate(out.region, sample.region)
         row["area"] = metrics.area_ratio(out.region, sample.region)
-    row["moved"] = float(moved.mean())
+    row["moved"] = moved_share(out.depth, sample)
     if sample.depth_gt is None or sample.region is None:
         return row
     painted = {"ditr": out.depth, GIVEN: ditr(sample.rgb, sample.depth, region=sample.region).depth}
     for name in BASELINES:
         filled = REGISTRY[name](sample.rgb, sample.depth, out.region)
-        painted[name] = np.where(read & ~out.region, sample.depth, filled)
-    row["rmse_m"] = {name: _rmse(depth, sample) for name, depth in painted.items()}
+        painted[name] = compose(sample.depth, filled, filled, out.region)
+    row["rmse_m"] = {name: score_rendered(depth, sample, SETS) for name, depth in painted.items()}
     return row
-
-
-def _rmse(depth: np.ndarray, sample: dl.Sample) -> dict[str, float | None]:
-    scores = metrics.evaluate(depth, sample.depth_gt, sample.region, sample.depth)
-    return {key: scores[key] and round(scores[key]["rmse"], 6) for key in SETS}
 
 
 def summarise(frames: dict[str, dict]) -> dict[str, dict[str, list[float] | None]]:

@@ -214,23 +214,25 @@ def paint_failures(
         write_depth(Path(folder) / f"{peer}.png", rows[peer][0](*by_name[frame]))
 
 
-def score_rendered(depth: np.ndarray, sample: Sample) -> Row:
+def score_rendered(depth: np.ndarray, sample: Sample, sets: Sequence[str] = SETS) -> Row:
     """Return the RMSE in metres on each pixel set of a frame whose region is known."""
     found = metrics.evaluate(depth, sample.depth_gt, sample.region, sample.depth)
-    return {key: found[key] and round(found[key]["rmse"], 6) for key in SETS}
+    return {key: found[key] and round(found[key]["rmse"], 6) for key in sets}
 
 
 def score_real(depth: np.ndarray, sample: Sample) -> Row:
-    """Return the scores of a real frame: as :func:`score_rendered`, or without truth the share of pixels that moved.
-
-    Pixels of the region, where it is known, may move.
-    """
+    """Return the scores of a real frame: as :func:`score_rendered`, or without truth the share of pixels that moved."""
     if sample.depth_gt is not None:
         return score_rendered(depth, sample)
+    return {"moved": round(moved_share(depth, sample), 6)}
+
+
+def moved_share(depth: np.ndarray, sample: Sample) -> float:
+    """Return the share of all pixels whose reading moved; those of the region, where it is known, may move."""
     moved = (sample.depth > 0) & (np.abs(depth - sample.depth) > MOVED_M)
     if sample.region is not None:
         moved &= ~sample.region
-    return {"moved": round(float(moved.mean()), 6)}
+    return float(moved.mean())
 
 
 def frames_of_file(file: Path | str) -> list[Sample]:
