@@ -358,10 +358,12 @@ def add_engine(p: ArgumentParser) -> None:
 
 
 def engine_of(options: Namespace):
-    """Return on what and how a training runs."""
+    """Return on what and how a training runs, having joined the other processes where there are any."""
     from ..training.loop import Engine
 
-    return Engine(options.accumulate, options.workers, options.precision, options.cpu)
+    engine = Engine(options.accumulate, options.workers, options.precision, options.cpu)
+    engine.start()
+    return engine
 
 
 def add_recipe(p: ArgumentParser, steps: str) -> None:

@@ -195,6 +195,7 @@ class Engine:
         """Find out how this process was started and join the others, where there are any."""
         from accelerate import Accelerator  # here: it takes a third of a second, and most who import this never train
 
+        _place(self.cpu)
         return Accelerator(cpu=self.cpu)
 
     def shares(self, accelerator: "Accelerator", batch: int) -> list[Share]:
@@ -587,7 +588,7 @@ def leave() -> None:
         _place().destroy_process_group()
 
 
-def _place() -> "PartialState":
+def _place(cpu: bool = False) -> "PartialState":
     from accelerate import PartialState
 
-    return PartialState()
+    return PartialState(cpu=cpu or not torch.accelerator.is_available())  # unless told, it joins no processes on CPUs

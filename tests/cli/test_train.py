@@ -1,7 +1,10 @@
 """``train`` on a dataset and with its cost, fine-tuning, and ``compare``."""
 
 import json
+import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
@@ -38,6 +41,17 @@ def test_a_dataset_is_trained_on_alone_and_mixed(exported, scenes, tmp_path, mon
         entry = store.read_card(name)["parts"]["region"]
         assert entry["dataset"] == "cleargrasp" and entry["scene_share"] == (0.25 if more else 0.0)
         assert len(entry["scenes"]) == (2 if more else 1)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="torch's build for Windows has no libuv store")
+def test_two_processes_train_together(scenes, tmp_path):
+    command = [*"-m torch.distributed.run --standalone --nproc-per-node=2".split(), *"-m ditr_lite train".split()]
+    command += [*TINY, "--part", "region", "--data", scenes / "val", "--val", scenes / "test"]
+    command += ["--out", tmp_path / "out", "--work", tmp_path / "work"]
+    surroundings = os.environ | {"OMP_NUM_THREADS": "1"}
+    done = subprocess.run([sys.executable, *command], env=surroundings, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert done.stdout.count("region.safetensors: 1 steps") == 1  # apart, both would say it, and write the same files
 
 
 def test_the_papers_preset_says_what_it_costs_before_it_starts(scenes, tmp_path, capsys, monkeypatch):
