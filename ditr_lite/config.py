@@ -30,10 +30,13 @@ class RegionConfig:
     levels: int = 4  # strides 2, 4, 8, 16, ...
     classes: int = 3  # background, transparent, reflective
     colour: str = "pretrained"  # encoder of the picture: "pretrained" (on ImageNet) or "scratch" (as for depth)
+    attention: int = 0  # transformer blocks at each of the two coarsest levels
+    blocks: int = 0  # residual blocks at each of the decoder's finer levels
 
     def __post_init__(self) -> None:
         _at_least(1, "region", width=self.width)
         _at_least(2, "region", levels=self.levels, classes=self.classes)
+        _at_least(0, "region", attention=self.attention, blocks=self.blocks)
         _at_most(6, "region", levels=self.levels)  # at stride 64 a working picture is 3 x 4 pixels
         _at_most(WIDEST, "region", width=self.width)
 
@@ -200,11 +203,11 @@ PRESETS: dict[str, Config] = {
         detail=DetailConfig(width=8),
     ),
     "lite": Config(
-        region=RegionConfig(levels=5),
-        refine=RefineConfig(  # temperature, as std: on validation scenes
-            looks=(1.5, 1.0, 2.0), median=3, dilate=3, iterations=1, temperature=1.1637
+        region=RegionConfig(levels=5, attention=2, blocks=1),
+        refine=RefineConfig(  # threshold and temperature, as std: on validation scenes
+            looks=(1.5, 1.0, 2.0), threshold=0.4, median=3, dilate=3, iterations=1, temperature=1.2839
         ),
-        std=StdConfig(base=(0.0558, 0.0141), factor=(6.6367, 11.6288), kept=0.0172, missed=0.1467),
+        std=StdConfig(base=(0.0619, 0.0142), factor=(6.0364, 11.4066), kept=0.0173, missed=0.1447),
     ),
     "paper": Config(
         name="paper",

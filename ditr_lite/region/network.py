@@ -30,6 +30,10 @@ def _conv(channels_in: int, channels_out: int, stride: int = 1, dilation: int = 
     )
 
 
+def _chain(block: type[nn.Module], channels: int, count: int) -> nn.Sequential:
+    return nn.Sequential(*(block(channels) for _ in range(count)))
+
+
 def _resize(x: Tensor, like: Tensor) -> Tensor:
     return F.interpolate(x, size=like.shape[-2:], mode="bilinear", align_corners=False)
 
@@ -93,6 +97,56 @@ class CrossModalFusion(nn.Module):
         return rgb * torch.sigmoid(self.gate_rgb(depth)) + depth * torch.sigmoid(self.gate_depth(rgb))
 
 
+class Residual(nn.Module):
+    """Two convolutions, added to their input; at first they change nothing: a trained network can be given them.
+
+    Not in the paper.
+    """
+
+    def __init__(self, channels: int):
+        super().__init__()
+        self.see = _conv(channels, channels)
+        self.change = nn.Conv2d(channels, channels, 3, padding=1)
+        nn.init.zeros_(self.change.weight)
+        nn.init.zeros_(self.change.bias)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, C, h, w) to the same shape."""
+        return x + self.change(self.see(x))
+
+
+class LookAround(nn.Module):
+    """Let every cell of a coarse map look at every other: a block of a transformer, which at first changes nothing.
+
+    Not in the paper. One glass makes another likely, and a mirror shows what stands elsewhere in the picture: what a
+    convolution sees is too small for that. Attention alone does not know who is whose neighbour; a depthwise
+    convolution before it does, at any size of the map.
+    """
+
+    def __init__(self, channels: int):
+        super().__init__()
+        self.heads = max(channels // 32, 1)
+        self.place = nn.Conv2d(channels, channels, 3, padding=1, groups=channels)
+        self.norm = nn.LayerNorm(channels)
+        self.to_qkv, self.out = nn.Linear(channels, 3 * channels), nn.Linear(channels, channels)
+        self.widen, self.narrow = nn.Linear(channels, 2 * channels), nn.Linear(2 * channels, channels)
+        self.norm_mixed = nn.LayerNorm(channels)
+        for last in (self.place, self.out, self.narrow):
+            nn.init.zeros_(last.weight)
+            nn.init.zeros_(last.bias)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, C, h, w) to the same shape."""
+        size = x.shape[2:]
+        x = (x + self.place(x)).flatten(2).transpose(1, 2)  # (B, C, h, w) -> (B, hw, C)
+        qkv = self.to_qkv(self.norm(x)).unflatten(2, (3 * self.heads, -1))  # (B, hw, 3 heads, d)
+        q, k, v = qkv.transpose(1, 2).chunk(3, dim=1)  # each (B, heads, hw, d)
+        mixed = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)  # (B, hw, C)
+        x = x + self.out(mixed)
+        x = x + self.narrow(F.gelu(self.widen(self.norm_mixed(x))))
+        return x.transpose(1, 2).unflatten(2, size)
+
+
 class BoundaryRefinement(nn.Module):
     """Predict the region's boundary and correct the features there, and only there.
 
@@ -116,7 +170,8 @@ class RegionNet(nn.Module):
     """Classify every pixel as background, transparent or reflective from RGB and raw depth.
 
     Paper: Sec. IV-B, S1. Two encoders, fusion at every level, a decoder that adds finer fused features on its way up,
-    side outputs for deep supervision, boundary refinement at stride 2.
+    side outputs for deep supervision, boundary refinement at stride 2. Attention and further blocks are ours; without
+    them (0 of each) it is the network that the ``paper`` preset takes.
 
     The depth encoder also sees the validity mask: that a reading is missing is evidence too.
     """
@@ -129,9 +184,12 @@ class RegionNet(nn.Module):
         self.encoder_depth = Encoder(2, widths)
         self.fusion = nn.ModuleList(CrossModalFusion(c) for c in widths)
         self.context = _conv(widths[-1], widths[-1], dilation=2)
+        self.around = _chain(LookAround, widths[-1], config.attention)
         finer = list(zip(widths[:-1], widths[1:], strict=True))[::-1]  # (fine, coarse) channels, coarse levels first
         self.lateral = nn.ModuleList(nn.Conv2d(coarse, fine, 1) for fine, coarse in finer)
         self.decode = nn.ModuleList(_conv(fine, fine) for fine, _ in finer)
+        self.deepen = nn.ModuleList(_chain(Residual, fine, config.blocks) for fine, _ in finer)
+        self.deepen[0] = _chain(LookAround, finer[0][0], config.attention)
         self.side = nn.ModuleList(nn.Conv2d(c, config.classes, 1) for c in reversed(widths[1:]))
         self.boundary = BoundaryRefinement(widths[0])
         self.classify = nn.Conv2d(widths[0], config.classes, 1)
@@ -161,11 +219,12 @@ class RegionNet(nn.Module):
         levels_rgb = self.encoder_rgb(rgb)
         levels_depth = self.encoder_depth(torch.cat([depth_n * valid, valid], dim=1))
         fused = [fuse(r, d) for fuse, r, d in zip(self.fusion, levels_rgb, levels_depth, strict=True)]
-        x = fused[-1] + self.context(fused[-1])
+        x = self.around(fused[-1] + self.context(fused[-1]))
         side = []
-        for lateral, decode, out, fine in zip(self.lateral, self.decode, self.side, reversed(fused[:-1]), strict=True):
+        steps = zip(self.lateral, self.decode, self.deepen, self.side, reversed(fused[:-1]), strict=True)
+        for lateral, decode, deepen, out, fine in steps:
             side.append(out(x))
-            x = decode(_resize(lateral(x), fine) + fine)
+            x = deepen(decode(_resize(lateral(x), fine) + fine))
         x, boundary = self.boundary(x, fused[0])
         return {"logits": _resize(self.classify(x), rgb), "side": side, "boundary": _resize(boundary, rgb)}
 

@@ -232,7 +232,10 @@ def stage_one(config: RegionConfig | None = None, size: tuple[int, int] | None =
     for row, y in rows.items():
         for k, (x, shape) in enumerate(zip(columns, shapes, strict=True)):
             name = "context" if row == "decoder" and k == levels - 1 else names[row]
-            grid[row, k] = Box(x, y, step - 26, 50, f"{name}\n{shape}")
+            lines = [name, shape]
+            if row == "decoder" and k >= levels - 2 and config.attention:
+                lines.insert(1, "and attention")
+            grid[row, k] = Box(x, y, step - 26, 16 + 17 * len(lines), "\n".join(lines))
     inputs = {
         "colour": Box(70, rows["colour"], 110, 50, f"colour\n3 × {height} × {width}"),
         "depth": Box(70, rows["depth"], 110, 50, f"depth, valid\n2 × {height} × {width}"),
