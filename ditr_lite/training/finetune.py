@@ -6,7 +6,7 @@ the final RMSE from a pre-trained inpainting model to it"; Sec. V-B, learning ra
 As written, nothing flows back: between the network and the final depth stand a threshold, a median, a dilation and a
 sampler. What stands in for each, here:
 
-    threshold at 1/2      a steep sigmoid, or straight-through: hard forwards, the sigmoid's gradient backwards
+    threshold             a steep sigmoid, or straight-through: hard forwards, the sigmoid's gradient backwards
     median of a mask      the mean of the window, through the same sigmoid (the median of a mask is a vote)
     dilation              the maximum of the window, which is what it is; gradient reaches the largest value
     sampler               one step from pure noise, as the shipped system samples, on the whole frame, without a
@@ -50,12 +50,12 @@ def soft_region(
 ) -> Tensor:
     """Return the refined region with a gradient.
 
-    As the steepness grows this becomes ``refine_region(probability > 0.5)``; with ``straight_through`` it has exactly
-    those values already and borrows the soft one's gradient.
+    As the steepness grows this becomes ``refine_region(probability > refine.threshold)``; with ``straight_through`` it
+    has exactly those values already and borrows the soft one's gradient.
 
     Args:
         probability: (B, 1, H, W) in [0, 1].
-        refine: kernels.
+        refine: threshold and kernels.
         steepness: of the sigmoid that stands in for the threshold.
         straight_through: hard values, soft gradient.
 
@@ -70,22 +70,19 @@ def soft_region(
     if steepness <= 0:
         raise ValueError(f"expected a steepness above 0, got {steepness}; 20 is a good start")
 
-    def soft_threshold(x: Tensor) -> Tensor:
-        return torch.sigmoid(steepness * (x - 0.5))
-
-    soft = _refine(probability, refine, soft_threshold)
+    soft = _refine(probability, refine, lambda x, at: torch.sigmoid(steepness * (x - at)))
     if not straight_through:
         return soft
     with torch.no_grad():
-        hard = _refine(probability, refine, lambda x: (x > 0.5).to(x.dtype))
+        hard = _refine(probability, refine, lambda x, at: (x > at).to(x.dtype))
     return hard + (soft - soft.detach())
 
 
-def _refine(x: Tensor, refine: RefineConfig, threshold: Callable[[Tensor], Tensor]) -> Tensor:
-    x = threshold(x)
+def _refine(x: Tensor, refine: RefineConfig, step: Callable[[Tensor, float], Tensor]) -> Tensor:
+    x = step(x, refine.threshold)
     if refine.median > 1:
         pad = refine.median // 2
-        x = threshold(F.avg_pool2d(F.pad(x, (pad,) * 4, mode="replicate"), refine.median, 1))
+        x = step(F.avg_pool2d(F.pad(x, (pad,) * 4, mode="replicate"), refine.median, 1), 0.5)  # a majority
     for _ in range(refine.iterations if refine.dilate > 1 else 0):
         x = F.max_pool2d(x, refine.dilate, 1, refine.dilate // 2)  # pads with -inf: nothing grows in from outside
     return x

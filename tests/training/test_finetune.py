@@ -28,6 +28,7 @@ from ditr_lite.training.finetune import (
 
 TINY = override(preset("tiny"), **{"window": 0, "sampler.samples": 1, "refine.median": 3, "refine.dilate": 3})
 KERNELS = [RefineConfig(), RefineConfig(3, 3, 1), RefineConfig(0, 5, 2), RefineConfig(5, 0, 3), RefineConfig(3, 3, 0)]
+KERNELS.append(RefineConfig(3, 3, 1, threshold=0.4))
 
 
 @pytest.fixture(scope="module")
@@ -50,15 +51,16 @@ def parts():
 def test_straight_through_has_the_values_of_the_real_refinement(seed, share, refine):
     probability = np.random.default_rng(seed).random((17, 23)).astype(np.float32) ** (1 / share)
     found = soft_region(torch.from_numpy(probability)[None, None], refine, straight_through=True)[0, 0].numpy()
-    wanted = refine_region(probability > 0.5, refine.median, refine.dilate, refine.iterations)
+    wanted = refine_region(probability > refine.threshold, refine.median, refine.dilate, refine.iterations)
     np.testing.assert_allclose(found, wanted, atol=1e-6)
 
 
 @pytest.mark.parametrize("refine", KERNELS)
 def test_the_soft_region_becomes_the_real_one_as_it_steepens(refine):
     probability = np.random.default_rng(1).random((20, 30)).astype(np.float32)
-    probability = np.where(np.abs(probability - 0.5) < 0.05, 0.6, probability)  # nobody steepens a tie
-    wanted = refine_region(probability > 0.5, refine.median, refine.dilate, refine.iterations)
+    cut = refine.threshold
+    probability = np.where(np.abs(probability - cut) < 0.05, cut + 0.1, probability)  # nobody steepens a tie
+    wanted = refine_region(probability > cut, refine.median, refine.dilate, refine.iterations)
     far = [
         np.abs(soft_region(torch.from_numpy(probability)[None, None].double(), refine, k)[0, 0].numpy() - wanted).max()
         for k in (5.0, 50.0, 500.0)
