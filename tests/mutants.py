@@ -431,8 +431,14 @@ REGION = [
     *family(
         "soft region (S4)",
         "training/finetune",
-        ("threshold: at 0", "torch.sigmoid(steepness * (x - 0.5))", "torch.sigmoid(steepness * x)"),
-        ("vote: no threshold", "x = threshold(F.avg_pool2d(", "x = (F.avg_pool2d("),
+        ("threshold: at 0", "torch.sigmoid(steepness * (x - at))", "torch.sigmoid(steepness * x)"),
+        ("threshold: always a half", "step(x, refine.threshold)", "step(x, 0.5)"),
+        (
+            "vote: no threshold",
+            'x = step(F.avg_pool2d(F.pad(x, (pad,) * 4, mode="replicate"), refine.median, 1), 0.5)',
+            'x = F.avg_pool2d(F.pad(x, (pad,) * 4, mode="replicate"), refine.median, 1)',
+        ),
+        ("vote: of another share", "refine.median, 1), 0.5)", "refine.median, 1), refine.threshold)"),
         ("vote: border of zeros", 'mode="replicate"', 'mode="constant"'),
         ("dilation: once", "range(refine.iterations if", "range(1 if"),
         ("straight-through: soft values", "return hard + (soft - soft.detach())", "return soft"),

@@ -238,7 +238,7 @@ def test_the_method_is_short_and_read_one_operation_at_a_time():
     assert dense("a = [x for x in y]\nb = {k: [x for x in v] for k, v in c}\nif (d := a):\n    pass") == [2, 3]
     studied = {file: source for file, source in SOURCES.items() if file.startswith(STUDIED)}
     assert {file: dense(source) for file, source in studied.items()} == dict.fromkeys(studied, [])
-    assert len(studied) == 11 and sum(source.count("\n") for source in studied.values()) <= 2100
+    assert len(studied) == 11 and sum(source.count("\n") for source in studied.values()) <= 2150
 
 
 def test_no_tool_takes_a_private_name():
