@@ -124,3 +124,8 @@ def test_table_and_ranks_by_hand():
 def test_a_statistic_that_is_mostly_zero_is_no_difference():
     one, other = ([load_sample(name) for name in list_samples(split)[:3]] for split in ("train", "test"))
     assert "beyond_twice_median" not in tool.largest_difference(one, other)
+
+
+def test_what_the_shipped_card_says_in_words_is_what_the_tool_writes():
+    written = {line for line in tool.TEXT.splitlines() if "{" not in line and "}" not in line}
+    assert written - set(CARD.splitlines()) == set()

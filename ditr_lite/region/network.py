@@ -188,8 +188,8 @@ class RegionNet(nn.Module):
         finer = list(zip(widths[:-1], widths[1:], strict=True))[::-1]  # (fine, coarse) channels, coarse levels first
         self.lateral = nn.ModuleList(nn.Conv2d(coarse, fine, 1) for fine, coarse in finer)
         self.decode = nn.ModuleList(_conv(fine, fine) for fine, _ in finer)
-        self.deepen = nn.ModuleList(_chain(Residual, fine, config.blocks) for fine, _ in finer)
-        self.deepen[0] = _chain(LookAround, finer[0][0], config.attention)
+        self.deepen = nn.ModuleList(_chain(Residual, fine, config.blocks) for fine, _ in finer[1:])
+        self.deepen.insert(0, _chain(LookAround, finer[0][0], config.attention))
         self.side = nn.ModuleList(nn.Conv2d(c, config.classes, 1) for c in reversed(widths[1:]))
         self.boundary = BoundaryRefinement(widths[0])
         self.classify = nn.Conv2d(widths[0], config.classes, 1)

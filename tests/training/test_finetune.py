@@ -27,8 +27,7 @@ from ditr_lite.training.finetune import (
 )
 
 TINY = override(preset("tiny"), **{"window": 0, "sampler.samples": 1, "refine.median": 3, "refine.dilate": 3})
-KERNELS = [RefineConfig(), RefineConfig(3, 3, 1), RefineConfig(0, 5, 2), RefineConfig(5, 0, 3), RefineConfig(3, 3, 0)]
-KERNELS.append(RefineConfig(3, 3, 1, threshold=0.4))
+KERNELS = [RefineConfig(*k) for k in ((), (3, 3, 1), (0, 5, 2), (5, 0, 3), (3, 3, 0), (3, 3, 1, 0.4))]
 
 
 @pytest.fixture(scope="module")
