@@ -4,6 +4,7 @@ Here the commands are only put together. Each brings a pair: ``add_arguments(par
 ends with exit code 2 and one line on stderr, an interruption with 130 and one line.
 """
 
+import os
 import signal
 import sys
 import threading
@@ -30,6 +31,8 @@ COMMANDS = {
 }
 # OSError: files that are absent, unreadable, or cannot be written; RuntimeError: a reader's own part, torch, a library
 BAD_INPUT = (ValueError, OSError, ImportError, RuntimeError)
+
+LATER_S = 0.05  # between a SIGTERM that was dropped and the next
 
 
 class Ended(BaseException):
@@ -74,14 +77,26 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _end_in_order() -> None:
-    """Let SIGTERM end a command as Ctrl-C does: temporary files go, workers end, one line is printed."""
+    """Let SIGTERM end a command as Ctrl-C does: temporary files go, workers end, one line is printed.
+
+    Python drops an exception that is raised while a destructor runs, such as that of a data loader: then the signal is
+    sent once more, as often as it takes.
+    """
+    before = sys.unraisablehook
 
     def end(*_) -> NoReturn:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)  # whoever is impatient sends it again
         raise Ended
 
+    def dropped(what: "sys.UnraisableHookArgs") -> None:
+        if what.exc_type is not Ended:
+            return before(what)
+        signal.signal(signal.SIGTERM, end)
+        threading.Timer(LATER_S, os.kill, (os.getpid(), signal.SIGTERM)).start()
+
     if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
         signal.signal(signal.SIGTERM, end)
+        sys.unraisablehook = dropped
 
 
 def parser() -> Parser:

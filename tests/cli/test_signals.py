@@ -52,3 +52,26 @@ def test_no_worker_outlives_a_simulation(tmp_path, sent, code, line):
     assert process.returncode == code and (line is None or (printed, complained) == ("", line))
     _, alive = psutil.wait_procs(workers, timeout=PATIENCE_S)
     assert not alive
+
+
+DROPPED = """
+import os, signal, sys, time
+from ditr_lite import cli
+
+class Thing:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.2)  # the exception comes up here, and Python drops it
+
+def run(options):
+    Thing()
+    time.sleep(60)
+
+cli.train.Train.run = staticmethod(run)
+sys.exit(cli.main(["train", "--part", "region"]))
+"""
+
+
+def test_a_signal_in_a_destructor_ends_the_command_too():
+    done = subprocess.run([sys.executable, "-c", DROPPED], cwd=ROOT, timeout=PATIENCE_S, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (143, "", "ditr_lite: ended by SIGTERM\n")
