@@ -10,12 +10,13 @@ import re
 import shutil
 import struct
 import sys
+import threading
 import time
 import uuid
 import warnings
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,7 @@ PNG_CHUNKS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")  # that make the pixe
 ROS_HEADER = struct.Struct("<iff")  # of compressedDepth: format, and the two constants of inverse depth
 ORIENTATION = 0x0112  # EXIF's tag; its values 2 to 8 say how to turn or mirror the stored pixels
 LOCK_S = 60.0  # a lock that is older was left behind
+STREAMS = threading.RLock()  # over standard output and standard error
 
 NO_READING = 65535  # the largest 16-bit number, which some recorders store for "nothing read", whatever their unit
 MASK_LEVEL = 100  # of 255: masks drawn with soft edges, as ClearGrasp's, are cut here
@@ -89,6 +91,8 @@ def folder_written_whole(folder: Path | str) -> Iterator[Path]:
                 folder.rename(old)
             part.rename(folder)
     finally:
+        if old.exists() and not folder.exists():  # interrupted between the two
+            old.rename(folder)
         for left in (part, old):
             shutil.rmtree(left, ignore_errors=True)
 
@@ -100,34 +104,56 @@ def locked(path: Path | str) -> Iterator[None]:
     The lock is a file beside it, ``.NAME.lock``. One that is older than a minute was left behind and is taken over.
 
     Raises:
-        ValueError: when another writer keeps it for a minute.
+        ValueError: when other writers keep it for two minutes.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     lock = path.with_name(f".{path.name}.lock")
-    until = time.monotonic() + 2 * LOCK_S
-    while True:
-        try:
-            os.close(os.open(lock, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
-            break
-        except FileExistsError:
-            _wait_for(lock, until)
+    mine, until = uuid.uuid4().hex, time.monotonic() + 2 * LOCK_S
+    while not _made(lock, mine):
+        if time.monotonic() > until:
+            raise ValueError(f"another process is writing beside {lock}: wait for it, or delete that file if none is")
+        if _left_behind(lock):
+            _remove_left_behind(lock)
+        time.sleep(0.02)
     try:
         yield
     finally:
-        lock.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):  # whoever took longer than a minute may have lost it to another
+            if lock.read_text() == mine:
+                lock.unlink(missing_ok=True)
 
 
-def _wait_for(lock: Path, until: float) -> None:
-    if time.monotonic() > until:
-        raise ValueError(f"another process is writing beside {lock}: wait for it, or delete that file if none is")
+def _made(lock: Path, text: str) -> bool:
+    """Make a file that is not there; return False where it is there."""
     try:
-        left_behind = time.time() - lock.stat().st_mtime > LOCK_S
+        opened = os.open(lock, os.O_CREAT | os.O_EXCL | os.O_WRONLY)
+    except FileExistsError:
+        return False
+    try:
+        os.write(opened, text.encode())
+    finally:
+        os.close(opened)
+    return True
+
+
+def _left_behind(lock: Path) -> bool:
+    try:
+        return time.time() - lock.stat().st_mtime > LOCK_S
     except FileNotFoundError:  # released in between
+        return False
+
+
+def _remove_left_behind(lock: Path) -> None:
+    """Remove a lock that was left behind; of several who want to, one does, and looks again before."""
+    turn = lock.with_name(f"{lock.name}.old")
+    if not _made(turn, ""):
         return
-    if left_behind:
-        lock.unlink(missing_ok=True)
-    time.sleep(0.02)
+    try:
+        if _left_behind(lock):
+            lock.unlink(missing_ok=True)
+    finally:
+        turn.unlink(missing_ok=True)
 
 
 def write_json(path: Path | str, values: Any) -> None:
@@ -392,7 +418,7 @@ def write_depth(path: Path | str, depth_m: np.ndarray, depth_scale: float = MILL
     if suffix == ".exr":
         return write_exr(path, {"R": metres})
     if suffix == ".png":
-        if depth_m.max(initial=0) > NO_READING * depth_scale:
+        if depth_m.max(initial=0) > (NO_READING - 0.5) * depth_scale:  # the last unit means: nothing read
             raise ValueError(
                 f"depth reaches {depth_m.max():.1f} m, a 16-bit PNG of {1000 * depth_scale:g} mm a unit ends at "
                 f"{NO_READING * depth_scale:.1f}: use .npy"
@@ -558,20 +584,22 @@ def _turned(path: Path, image: np.ndarray, orientation: int, turn: bool) -> np.n
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep off the terminal what a library prints: what is wrong with a file, our own message says."""
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()
-    kept, nowhere = [os.dup(1), os.dup(2)], os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 1)
-        os.dup2(nowhere, 2)
-        with redirect_stdout(StringIO()), redirect_stderr(StringIO()):  # what its Python half prints
-            yield
-    finally:
-        for number, copy in enumerate(kept, 1):
-            os.dup2(copy, number)
-            os.close(copy)
-        os.close(nowhere)
+    """Keep off the terminal what a library prints: what is wrong with a file, our own message says.
+
+    The standard streams are the whole process's: of several threads one at a time may exchange them.
+    """
+    with STREAMS, ExitStack() as undo:
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        nowhere = undo.enter_context(open(os.devnull, "w"))
+        for number in (1, 2):
+            copy = os.dup(number)
+            undo.callback(os.close, copy)
+            undo.callback(os.dup2, copy, number)
+            os.dup2(nowhere.fileno(), number)
+        undo.enter_context(redirect_stdout(StringIO()))  # what its Python half prints
+        undo.enter_context(redirect_stderr(StringIO()))
+        yield
 
 
 def _exr(path: Path, data: bytes) -> np.ndarray:

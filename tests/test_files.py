@@ -1,11 +1,13 @@
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import cv2
 import numpy as np
 import OpenEXR
 import pytest
+from PIL import Image
 
 from ditr_lite import files
 from ditr_lite.camera import Camera, unproject
@@ -328,6 +330,22 @@ def test_an_interrupted_folder_leaves_the_old_one(tmp_path):
     assert (folder / "a").read_text() == "old" and list(tmp_path.iterdir()) == [folder]
 
 
+def test_a_folder_is_not_lost_between_two_renames(tmp_path, monkeypatch):
+    folder = tmp_path / "scene"
+    with files.folder_written_whole(folder) as part:
+        (part / "a").write_text("old")
+    rename = Path.rename
+
+    def interrupted(self, target):
+        if self.name.endswith(".part") and not self.name.endswith(".old.part"):
+            raise KeyboardInterrupt
+        return rename(self, target)
+
+    with pytest.raises(KeyboardInterrupt), files.folder_written_whole(folder) as part:
+        monkeypatch.setattr(Path, "rename", interrupted)
+    assert (folder / "a").read_text() == "old" and list(tmp_path.iterdir()) == [folder]
+
+
 def test_a_lock_is_held_by_one_and_taken_over_when_it_was_left_behind(tmp_path, monkeypatch):
     target, lock = tmp_path / "card.json", tmp_path / ".card.json.lock"
     with files.locked(target):
@@ -341,6 +359,47 @@ def test_a_lock_is_held_by_one_and_taken_over_when_it_was_left_behind(tmp_path, 
         with files.locked(target):
             assert lock.is_file()
     assert not lock.exists()
+
+
+def test_of_many_who_take_over_a_lock_one_holds_it_at_a_time(tmp_path, monkeypatch):
+    target, lock = tmp_path / "card.json", tmp_path / ".card.json.lock"
+    lock.touch()
+    os.utime(lock, (1, 1))  # left behind
+    within = []
+
+    def write(_):
+        with files.locked(target):
+            within.append("in")
+            time.sleep(0.01)
+            within.append("out")
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(write, range(16)))
+    assert within == ["in", "out"] * 16 and not list(tmp_path.iterdir())
+
+
+def test_a_lock_that_another_took_over_is_left_to_it(tmp_path):
+    target, lock = tmp_path / "card.json", tmp_path / ".card.json.lock"
+    with files.locked(target):
+        lock.write_text("another's")
+    assert lock.read_text() == "another's"
+
+
+def test_threads_that_read_pictures_leave_the_streams_as_they_were(tmp_path, capfd):
+    Image.fromarray(np.zeros((64, 64, 3), np.uint8)).save(tmp_path / "a.png")
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda _: files.read_rgb(tmp_path / "a.png"), range(200)))
+    print("heard")
+    os.write(2, b"heard")
+    assert capfd.readouterr() == ("heard\n", "heard")
+
+
+def test_no_reading_becomes_the_number_that_means_none(tmp_path):
+    scale = 0.00025
+    with pytest.raises(ValueError, match="use .npy"):
+        files.write_depth(tmp_path / "a.png", np.full((2, 2), 65534.6 * scale, np.float32), scale)
+    files.write_depth(tmp_path / "a.png", np.full((2, 2), 65534 * scale, np.float32), scale)
+    assert files.read_depth_and_unit(tmp_path / "a.png", scale)[0].min() > 16
 
 
 @pytest.mark.parametrize("scale", [0.0001, 0.00025, 0.0002, 0.001, 0.002])
