@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +91,9 @@ def save_part(name: str, state: dict[str, Tensor], config: Config, folder: Path 
     half = {k: (v.half() if v.is_floating_point() else v).contiguous().cpu() for k, v in state.items()}
     _check_finite(name, half, "training went wrong: lower its learning rate")
     with locked(folder / CARD):
-        card = read_card(folder) if (folder / CARD).is_file() else {"parts": {}}
+        card = {"parts": {}}
+        if (folder / CARD).is_file():
+            card, config = read_card(folder), _calibrated(config, read_config(folder))
         below = {n: card["parts"][n]["sha256"] for n in BUILT_ON.get(name, ()) if n in card["parts"]}
         write_tensors(half, path)
         card["config"] = to_dict(config)
@@ -98,6 +101,12 @@ def save_part(name: str, state: dict[str, Tensor], config: Config, folder: Path 
         with written_whole(folder / CARD) as part:  # as plain JSON: a curve may hold NaN where nothing could be scored
             part.write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
     return path
+
+
+def _calibrated(config: Config, there: Config) -> Config:
+    """Return ``config`` with what calibration entered into the card that is there: training a part does not undo it."""
+    refine = replace(config.refine, temperature=there.refine.temperature)
+    return replace(config, refine=refine, std=there.std)
 
 
 def _check_finite(name: str, tensors: dict[str, Tensor], advice: str) -> None:

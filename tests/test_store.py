@@ -1,13 +1,14 @@
 import hashlib
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import nn
 
 from ditr_lite import pipeline, store
-from ditr_lite.config import override, preset
+from ditr_lite.config import StdConfig, override, preset
 from ditr_lite.store import CARD, load_part, load_parts, read_card, save_part, sha256, write_tensors
 
 TINY = preset("tiny")
@@ -39,6 +40,13 @@ def test_configuration_travels_with_the_weights(tmp_path):
         save_part(name, STATE, config, tmp_path, {})
     loaded, states = load_parts(tmp_path)
     assert loaded == config and sorted(states) == ["autoencoder", "geometric", "optical", "region"]
+
+
+def test_a_part_trained_anew_leaves_what_calibration_entered(tmp_path):
+    calibrated = replace(TINY, std=StdConfig(kept=0.02), refine=replace(TINY.refine, temperature=1.5))
+    save_part("region", STATE, calibrated, tmp_path, {})
+    save_part("detail", STATE, replace(TINY, size=(96, 96)), tmp_path, {})
+    assert store.read_config(tmp_path) == replace(calibrated, size=(96, 96))
 
 
 def test_a_system_with_a_pretrained_encoder_loads_it_too(tmp_path):
