@@ -226,8 +226,7 @@ def own_frames(options: Namespace, part: str, config):
     elif real and real.val_split:
         held_out = list(real.held_out(part, config).values())
     else:
-        pairs = [hold_out(scenes) for scenes in own]
-        own, held_out = ([pair[k] for pair in pairs] for k in (0, 1))
+        own, held_out = hold_out(own)
     share = 0.5 if options.scene_share is None else options.scene_share
     first = [load_scenes(SAMPLES / "train")] if share else []
     return mixed(own, first, share), join(held_out, config.size)

@@ -56,10 +56,19 @@ def split_held_out(scenes: Scenes) -> tuple[Scenes, Scenes]:
     return every(scenes, range(0, count, 3)), every(scenes, [i for i in range(count) if i % 3])
 
 
-def hold_out(scenes: Scenes) -> tuple[Scenes, Scenes]:
-    """Return all frames but every third, to train on, and every third, for where nobody gives frames to validate on."""
-    count = len(scenes)
-    return every(scenes, [i for i in range(count) if i % 3]), every(scenes, range(0, count, 3))
+def hold_out(groups: Sequence[Scenes]) -> tuple[list[Scenes], list[Scenes]]:
+    """Return all frames but every third, to train on, and every third, for where nobody gives frames to validate on.
+
+    Groups are counted through, so that one of a single frame is no special case.
+    """
+    learns, held_out, count = [], [], 0
+    for scenes in groups:
+        thirds = [i for i in range(len(scenes)) if (count + i) % 3 == 0]
+        others = [i for i in range(len(scenes)) if (count + i) % 3]
+        learns += [every(scenes, others)] if others else []
+        held_out += [every(scenes, thirds)] if thirds else []
+        count += len(scenes)
+    return learns, held_out
 
 
 def check_out(out: Path | str, start: Path | str) -> None:
@@ -192,10 +201,10 @@ def branch_errors(branch: str, painter: Any, config: Config, scenes: Scenes, bou
 
 
 def region_errors(model: nn.Module, config: Config, scenes: Scenes) -> np.ndarray:
-    """Return 1 - IoU of each scene, NaN where there is neither a region nor a claim."""
+    """Return 1 - IoU of each scene; 0 where there is neither a region nor a claim: a claim there would be an error."""
     found: list[float] = []
     for claimed, true in claims_in_order(model, config, scenes):
-        found.append(1 - iou(claimed, true) if (claimed | true).any() else np.nan)
+        found.append(1 - iou(claimed, true) if (claimed | true).any() else 0.0)
     return np.array(found)
 
 

@@ -74,10 +74,22 @@ def test_the_weights_to_start_from_and_the_packages_own_are_never_replaced(start
 def test_frames_that_choose_frames_that_judge_and_frames_to_learn_from_are_apart():
     scenes = own(7)
     chooses, judges = split_held_out(scenes)
-    learns, held_out = hold_out(scenes)
+    (learns,), (held_out,) = hold_out([scenes])
     for one, other in ((chooses, judges), (learns, held_out)):
         assert sorted([*one.names, *other.names]) == sorted(scenes.names)
     assert np.array_equal(judges.depth[0], scenes.depth[1])
+
+
+def test_a_group_of_one_frame_is_held_out_or_learnt_from():
+    learns, held_out = hold_out([own(1), own(1), own(5)])
+    assert [len(g) for g in learns] == [1, 3] and [len(g) for g in held_out] == [1, 2]
+
+
+def test_a_false_claim_where_there_is_no_glass_counts_against_fine_tuning(monkeypatch):
+    nothing = np.zeros((4, 4), bool)
+    claims = [(nothing, nothing), (~nothing, nothing), (~nothing, ~nothing)]
+    monkeypatch.setattr(module, "claims_in_order", lambda *_: iter(claims))
+    assert module.region_errors(None, TINY, None).tolist() == [0, 1, 0]
 
 
 def test_a_share_of_the_draws_are_scenes_of_the_first_training():
