@@ -68,9 +68,7 @@ def batch_of(views: list[View], backend: Backend | None = None, around: bool = F
     lows, highs = [], []
     for view in views:
         depth = without_strays(view.depth)
-        if not depth.any():
-            depth = np.ones_like(depth)
-        bounds = depth_bounds(depth, ~view.region if around else None)
+        bounds = depth_bounds(depth if depth.any() else np.ones_like(depth), ~view.region if around else None)
         lows.append(bounds.low)
         highs.append(bounds.high)
         rows["depth_n"].append(bounds.normalise(depth))

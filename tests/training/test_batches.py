@@ -77,6 +77,7 @@ def test_a_view_without_a_reading_still_has_bounds(scenes):
     blind = View(view.rgb, 0 * view.depth, view.depth_gt, view.material, view.region)
     batch = batch_of([blind], around=True)
     assert batch.depth_n.isfinite().all() and batch.gt_n.isfinite().all()
+    assert not batch.valid.any() and not batch.depth_n.any()  # nothing was read, and no reading is shown
 
 
 def test_errors_are_shares_of_the_depth(scenes):
