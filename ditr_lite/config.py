@@ -22,6 +22,9 @@ def _at_most(maximum: int, group: str, **values: int) -> None:
 WIDEST = 512  # channels of a first level
 
 
+COLOURS = ("pretrained", "scratch")  # encoders of the picture in stage one
+
+
 @dataclass(frozen=True)
 class RegionConfig:
     """Stage one: the RGB-D segmentation network (Paper: Sec. IV-B, "TROSNet")."""
@@ -37,6 +40,8 @@ class RegionConfig:
         _at_least(1, "region", width=self.width)
         _at_least(2, "region", levels=self.levels, classes=self.classes)
         _at_least(0, "region", attention=self.attention, blocks=self.blocks)
+        if self.colour not in COLOURS:
+            raise ValueError(f"unknown region.colour {self.colour!r}; choose one of {', '.join(COLOURS)}")
         _at_most(6, "region", levels=self.levels)  # at stride 64 a working picture is 3 x 4 pixels
         _at_most(WIDEST, "region", width=self.width)
 
@@ -187,9 +192,19 @@ class Config:
             raise ValueError(f"sampler.prediction {self.sampler.prediction!r} needs unet.anchor=false")
 
     def look(self, scale: float | None = None) -> tuple[int, int]:
-        """Return the size (H, W) of a look of stage one; by default of the first, the one that it is trained for."""
+        """Return the size (H, W) of a look of stage one; by default of the first, the one that it is trained for.
+
+        Raises:
+            ValueError: for a size that the pretrained encoder's levels do not halve evenly.
+        """
         scale = self.refine.looks[0] if scale is None else scale
-        return round(scale * self.size[0]), round(scale * self.size[1])
+        seen, coarsest = (round(scale * self.size[0]), round(scale * self.size[1])), 2**self.region.levels
+        if self.region.colour == "pretrained" and any(n % coarsest for n in seen):
+            raise ValueError(
+                f"refine.looks {scale:g} times size {self.size} is {seen}: stage one, with region.levels "
+                f"{self.region.levels}, sees multiples of {coarsest}"
+            )
+        return seen
 
 
 PRESETS: dict[str, Config] = {

@@ -122,6 +122,7 @@ def test_settings_that_are_right_only_together_are_taken_in_any_order():
         ({"refine.threshold": 1.0}, "a threshold between 0 and 1"),
         ({"refine.looks": (0.5,)}, "none below 1"),
         ({"refine.looks": ()}, "at least one size"),
+        ({"region.colour": "foo"}, "unknown region.colour 'foo'; choose one of pretrained, scratch"),
         ({"refine.temperature": 0.0}, "a temperature above 0"),
     ],
 )
@@ -146,3 +147,10 @@ def test_stage_one_is_trained_for_its_first_look():
     assert config.preset("tiny").look() == config.preset("tiny").size
     looks = config.override(config.preset("tiny"), **{"refine.looks": (1.5, 1.0)})
     assert looks.look() == looks.look(1.5) == (96, 144) and looks.look(1.0) == looks.size
+
+
+def test_a_look_is_of_a_size_that_stage_one_can_halve():
+    odd = config.override(config.preset("lite"), **{"refine.looks": (1.1,)})
+    with pytest.raises(ValueError, match=r"1.1 times size \(192, 256\) is \(211, 282\): .* sees multiples of 32"):
+        odd.look()
+    assert config.override(odd, **{"region.colour": "scratch"}).look() == (211, 282)
