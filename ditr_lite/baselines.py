@@ -184,7 +184,7 @@ def _harmonic(known: np.ndarray) -> np.ndarray:
     unknown = known == 0
     count = int(unknown.sum())
     if count == 0:
-        return known
+        return known.copy()
     number = np.full(known.shape, -1)
     number[unknown] = np.arange(count)
     neighbours, source, rows, cols = np.zeros(count), np.zeros(count), [], []

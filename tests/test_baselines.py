@@ -194,3 +194,9 @@ def test_bias_by_hand():
     assert measure_bias([one, two, blank, unlabelled]) == pytest.approx((0.02 + 0.06) / 2, abs=1e-6)
     with pytest.raises(ValueError, match="training split"):
         measure_bias([blank, unlabelled])
+
+
+def test_what_is_dense_already_comes_back_as_a_copy():
+    depth, rgb = np.ones((6, 8), np.float32), np.zeros((6, 8, 3), np.uint8)
+    for name, method in baselines.REGISTRY.items():
+        assert not np.shares_memory(method(rgb, depth), depth), name

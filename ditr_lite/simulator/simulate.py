@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from itertools import islice
 from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
 from threading import Thread
@@ -214,7 +215,9 @@ def simulate_many(
     done: list[Path] = []
     with _workers(workers) as pool, tqdm(total=count, desc=f"{split} scenes", unit="scene") as bar:
         while len(done) < count:
-            batch = [next(seeds) for _ in range(count - len(done))]
+            batch = list(islice(seeds, count - len(done)))
+            if not batch:
+                raise ValueError(f"{len(done)} of {count} scenes were worth keeping: go on with another --first-seed")
             with _uninterrupted():
                 jobs = [pool.submit(_write, folder, split, s, s - first_seed < infrared, preset) for s in batch]
             for job in as_completed(jobs):

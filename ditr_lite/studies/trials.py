@@ -89,6 +89,7 @@ def try_settings(
     settings: Mapping[str, Mapping[str, str]] = SETTINGS,
     seeds: Sequence[int] = (0, 1),
     save: Callable[[dict[str, Row]], None] = lambda rows: None,
+    folder: Path | str = "outputs/weights",
     **how: Any,
 ) -> dict[str, Row]:
     """Try every setting with every seed.
@@ -97,7 +98,8 @@ def try_settings(
         settings: name -> dotted setting -> value.
         seeds: of training.
         save: called with the rows so far after every training.
-        how: passed to :func:`studies.experiment.compare_settings`: data, folder, limit, ...
+        folder: the arms of the first seed go there, those of another to ``seed_N`` in it.
+        how: passed to :func:`studies.experiment.compare_settings`: data, limit, ...
 
     Returns:
         name -> ``settings``, ``seconds`` (of training, per seed) and ``rmse_m``: pixel set -> seed -> one value a frame
@@ -105,8 +107,9 @@ def try_settings(
     """
     rows: dict[str, Row] = {name: _row(chosen) for name, chosen in {DEFAULT: {}, **settings}.items()}
     for seed in seeds:
+        home = Path(folder) if seed == seeds[0] else Path(folder) / f"seed_{seed}"
         for name, chosen in settings.items():
-            result = compare_settings(chosen, seed=seed, **how)
+            result = compare_settings(chosen, seed=seed, folder=home, **how)
             for row, arm in ((DEFAULT, "default"), (name, "changed")):
                 if row == DEFAULT and len(rows[row]["seconds"]) > seeds.index(seed):
                     continue  # the same weights as in the comparison before

@@ -31,6 +31,7 @@ from .panels import (
     rgb,
     signed_error,
     spread,
+    spread_limit,
 )
 
 TALLEST_IN = 6.0  # a panel, however narrow its picture
@@ -73,6 +74,7 @@ def grid(
         judged = True if where is None else where
         values = np.concatenate([np.abs(d[v & judged]) for d, v in (difference_mm(e, depth_gt) for e in errors)])
         error_mm = max(float(np.percentile(values, 98)), 1.0) if values.size else ERROR_MM
+    spreads = [spread_limit(p.array) for p in panels if p.kind == "spread"]
     columns = max(map(len, rows))
     width = min(WIDTH_IN, 3.2 * columns)
     height, wide = panels[0].array.shape[:2]
@@ -85,7 +87,7 @@ def grid(
         "depth": lambda ax, p: depth(ax, p.array, limits, p.title, bar=False),
         "error": lambda ax, p: error(ax, p.array, depth_gt, error_mm, p.title, bar=False, where=where),
         "signed": lambda ax, p: signed_error(ax, p.array, depth_gt, error_mm, p.title, bar=False, where=where),
-        "spread": lambda ax, p: spread(ax, p.array, None, p.title, bar=False),
+        "spread": lambda ax, p: spread(ax, p.array, max(spreads), p.title, bar=False),
     }
     for places, row_ in zip(axes, rows, strict=True):
         drawn: dict[str, tuple[AxesImage, list[Axes]]] = {}

@@ -186,8 +186,13 @@ signed_error = partial(error, signed=True)
 def spread(ax: Axes, std_m: np.ndarray, limit_mm: float | None = None, title: str = "", bar: bool = True) -> AxesImage:
     """Draw the spread over samples or the error to expect, given in metres, in millimetres."""
     std_mm = check_metres(std_m) * 1000.0
-    limit = limit_mm or max(float(np.percentile(std_mm, 98)), 1.0)
+    limit = limit_mm or spread_limit(std_m)
     return _map(ax, "spread", std_mm, np.ones(std_mm.shape, bool), (0, limit), title, "", bar)
+
+
+def spread_limit(std_m: np.ndarray) -> float:
+    """Return where the colours of a spread, given in metres, end, in millimetres: all but its largest values."""
+    return max(1000.0 * float(np.percentile(std_m, 98)), 1.0)
 
 
 def rgb(

@@ -183,6 +183,9 @@ def test_many_scenes_resume_and_skip_by_seed_alone(tmp_path, monkeypatch):
     done = len(calls)
     assert simulate_many(tmp_path, "test", count=3) == paths and len(calls) == done  # nothing is rendered twice
     assert len(simulate_many(tmp_path, "test", count=4)) == 4
+    with pytest.raises(ValueError, match="0 of 1 scenes were worth keeping: go on with another --first-seed"):
+        monkeypatch.setattr(simulator, "simulate", lambda *_: blank)
+        simulate_many(tmp_path, "test", count=1, first_seed=100)
 
 
 @pytest.mark.parametrize(("stored", "asked"), [(None, "d415"), ("d415", None), ("d415", "l515")])

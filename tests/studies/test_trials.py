@@ -85,6 +85,16 @@ def test_every_setting_is_tried_with_every_seed_and_the_default_counts_once(rows
     assert trials.errors(rows[trials.DEFAULT]).tolist() == [[10, 12], [11, 13]]  # the second frame holds no such pixel
 
 
+def test_every_seed_keeps_its_arms_in_a_folder_of_its_own(monkeypatch, tmp_path):
+    homes = []
+    compare = fake({"default": [10, 11], "1": [20, 22]})
+    monkeypatch.setattr(
+        trials, "compare_settings", lambda *a, folder, **how: homes.append(folder) or compare(*a, **how)
+    )
+    trials.try_settings({"one head": {"unet.heads": "1"}}, folder=tmp_path)
+    assert homes == [tmp_path, tmp_path / "seed_1"]
+
+
 def test_a_change_must_beat_the_seeds_to_be_clear(rows):
     ten = trials.against_default(rows, "one head")
     assert ten.mean == pytest.approx(10.5) and ten.seeds == pytest.approx(2) and ten.clear

@@ -310,3 +310,10 @@ def test_every_map_of_a_saved_panel_is_wide_enough_and_outlined(tmp_path, sample
     changed = np.abs(with_ - without).max(axis=2) > 60
     quarters = np.array_split(changed, 4, axis=1)
     assert all(quarter.sum() > 50 for quarter in quarters)
+
+
+def test_spreads_in_one_row_share_their_limits_and_their_bar():
+    small, large = (np.full(SHAPE, metres, np.float32) for metres in (0.001, 0.1))
+    figure = viz.row([("spread", small, "a"), ("spread", large, "b")])
+    limits = [image.get_clim() for ax in figure.axes[:2] for image in ax.images]
+    assert limits[0] == limits[1] == pytest.approx((0, 100))
