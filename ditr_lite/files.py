@@ -127,13 +127,13 @@ def locked(path: Path | str) -> Iterator[None]:
 def _made(lock: Path, text: str) -> bool:
     """Make a file that is not there; return False where it is there."""
     try:
-        opened = os.open(lock, os.O_CREAT | os.O_EXCL | os.O_WRONLY)
+        with lock.open("x") as file:
+            file.write(text)
     except FileExistsError:
         return False
-    try:
-        os.write(opened, text.encode())
-    finally:
-        os.close(opened)
+    except OSError:  # the disk is full
+        lock.unlink(missing_ok=True)
+        raise
     return True
 
 

@@ -175,7 +175,7 @@ def test_every_exercise_of_level_three_has_a_folded_hint(path):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
-def test_the_core_on_one_page_and_the_symbols_are_linked(path):
+def test_the_core_on_one_page_and_the_symbols_are_named(path):
     text = "\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "markdown")
     assert f"summaries/{path.stem}" in text and "book/symbols.md" in text
 

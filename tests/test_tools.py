@@ -19,6 +19,7 @@ import student_copy as students
 import torch
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
+from ditr_lite import store
 from ditr_lite.config import RefineConfig, StdConfig, preset
 from ditr_lite.data import list_samples, load_sample
 from ditr_lite.pipeline import Ditr, build
@@ -263,8 +264,10 @@ def test_the_variants_of_the_denoiser_go_into_the_readme():
     ways = [denoisers.way_of(*asked) for asked in denoisers.ASKED]
     errors = {"default": dict.fromkeys(ways, np.full(4, 0.02)), "eps": dict.fromkeys(ways, np.full(4, 0.03))}
     report = {"minutes": 1.5, "scenes": 938, "summary": denoisers.summarise_denoisers(errors), "command": "python x"}
+    report["weights_sha256"] = {"autoencoder": "0", "detail": store.read_card()["parts"]["detail"]["sha256"]}
     text = readme_results.variants(report)
     assert "1.5 min" in text and "938 scenes" in text and "`python x`" in text
+    assert "Made with earlier weights of autoencoder." in text
     assert denoisers.DENOISERS["eps"].says in text and "+1.00 [+1.00, +1.00]" in text
 
 

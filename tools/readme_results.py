@@ -13,6 +13,10 @@ from ditr_lite.store import read_card
 from ditr_lite.studies import denoisers, peer_tables
 
 START, END = "<!-- results: tools/readme_results.py -->", "<!-- end of results -->"
+OWN_FRAMES = (
+    "; `score.py` stands for a file of your own that yields frames (`peers.compare.frames_of_file`), these real frames "
+    "are not in the repository"
+)
 SETS = ("optical", "optical_valid", "geometric", "outside", "whole")
 
 
@@ -108,7 +112,7 @@ def real(result: dict) -> str:
         area = "–" if row["area"] is None else f"{row['area']:.2f}"
         name = frame.replace("no glass", "without glass")
         lines.append(f"| {name} | {100 * row['claimed']:.1f} | {missed} | {area} | {100 * row['moved']:.1f} |")
-    return "\n".join([*lines, "", f"Command: `{result['command']}`."])
+    return "\n".join([*lines, "", f"Command: `{result['command']}`{OWN_FRAMES}."])
 
 
 def peers(result: dict) -> str:
@@ -135,7 +139,7 @@ def peers(result: dict) -> str:
         lines += ["", "On real frames:", "", "```", peer_tables.format_real(result["real"]), "```"]
     if not is_current(result):
         lines += ["", "Shipped rows and regions are of earlier weights than those in the folder."]
-    return "\n".join([*lines, "", f"Command: `{result['command']}`, after `python tools/train_peers.py`."])
+    return "\n".join([*lines, "", f"Command: `{result['command']}`, after `python tools/train_peers.py`{OWN_FRAMES}."])
 
 
 def peer_table(part: dict, split: str) -> list[str]:
@@ -143,7 +147,7 @@ def peer_table(part: dict, split: str) -> list[str]:
     mean, ratio = part["mean"], part["ratio"]
     about = f"{split}, {part['frames']} scenes"
     lines = [
-        f"| {about} | idea | optical | geometric | whole | optical, the paper's DITR over it |",
+        f"| {about} | idea | optical | geometric | whole | optical, +RR over it |",
         "|---|---|---:|---:|---:|---:|",
     ]
     names = [peer_tables.SHIPPED, *peer_tables.with_seeds(mean, peer_tables.EQUAL, "+RR", *peer_tables.IDEAS)]
@@ -167,14 +171,18 @@ def costs(result: dict) -> str:
     for frame in cost["frames"]:
         (whole,) = (row for row in frame["stages"] if row["stage"] == "whole")
         height, width = frame["size"]
-        takes.append(f"{width} x {height}: {whole['ms']:.0f} ms, peak memory {whole['peak_mb']:.0f} MB")
+        takes.append(
+            f"{width} x {height}: {whole['ms']:.0f} ms, {whole['gflops']:.0f} GFLOPs, peak memory "
+            f"{whole['peak_mb']:.0f} MB"
+        )
     ours, theirs = (cost["unets"][name]["ms_per_gflop"] for name in ("ours", "diffusers"))
     product = cost["machine"].get("product_ms")
     beside = f" A product of two float32 matrices 2048 x 2048 takes {product:.0f} ms there." if product else ""
     return (
         f"**What a frame costs**, on {cost['machine']['cores']} cores of one machine, median "
-        f"of {cost['runs']} runs: {'; '.join(takes)}. The denoiser takes {ours:.1f} ms a GFLOP, diffusers' U-Net of "
-        f"its size {theirs:.1f}.{beside} Other machines differ by factors: `python -m ditr_lite bench` measures yours."
+        f"of {cost['runs']} runs: {'; '.join(takes)}. Each window adds work, and how many there are depends on what "
+        f"stage one finds. The denoiser takes {ours:.1f} ms a GFLOP, diffusers' U-Net of its size {theirs:.1f}."
+        f"{beside} Other machines differ by factors: `python -m ditr_lite bench` measures yours."
     )
 
 
@@ -231,7 +239,8 @@ def variants(result: dict) -> str:
     lines = [
         f"**What makes the optical denoiser better.** Variants of its small version, trained alike for "
         f"{result['minutes']:g} min of processor time on {result['scenes']:,} scenes, and scored in windows of the "
-        "validation scenes, without the finer final step; in brackets 95 % intervals, paired over scenes.",
+        "validation scenes, without the finer final step; in brackets 95 % intervals, paired over scenes."
+        + earlier(result),
         "",
         "```",
         denoisers.format_denoisers(result),
@@ -240,6 +249,13 @@ def variants(result: dict) -> str:
         f"Command: `{result['command']}`.",
     ]
     return "\n".join(lines)
+
+
+def earlier(result: dict) -> str:
+    """Return a sentence that names the parts of which results were made with earlier weights; empty without any."""
+    parts = read_card()["parts"]
+    old = [name for name, checksum in result["weights_sha256"].items() if parts[name]["sha256"] != checksum]
+    return f" Made with earlier weights of {' and '.join(old)}." if old else ""
 
 
 def folded(text: str, summary: str) -> str:

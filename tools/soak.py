@@ -93,7 +93,7 @@ def memory_of_large_frames(folder: Path, rng: np.random.Generator) -> Row:
     for size in LARGE:
         rgb, depth = large(size)
         taken.append(grown(lambda rgb=rgb, depth=depth: ditr(rgb, depth)))
-    sizes = (f"{w} x {h}: {mb:.0f} MB" for (h, w), mb in zip(LARGE, taken, strict=True))
+    sizes = (f"{w} x {h}: {mb:.1f} MB" for (h, w), mb in zip(LARGE, taken, strict=True))
     return row([mb <= LIMIT_MB for mb in taken], ", ".join(sizes))
 
 

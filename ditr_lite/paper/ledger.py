@@ -321,7 +321,7 @@ _ROWS = [
         "the learning rate mixes a trigonometric and an exponential factor",
         learning_rates,
         "not said",
-        "half a cosine × an exponential, beside TROSNet's law; the shipped weights: warm-up, then a cosine",
+        "half a cosine × an exponential, beside TROSNet's law; the shipped weights: warm-up and cosine in each run",
         "02_region_refinement",
     ),
     (

@@ -117,7 +117,7 @@ def best_peer(report: Mapping[str, Any], key: str = "optical") -> str:
 
 
 def ratio_verdict(report: Mapping[str, Any]) -> str:
-    """Say where the paper's ratio to DFNet lies beside ours, of DITR at equal time to regression and to the best peer.
+    """Say where the paper's ratio to DFNet lies beside ours, of :data:`PAPERS` to regression and to the best peer.
 
     Like is set beside like: *whole* beside the paper's overall, *optical* beside its optical ratio (:data:`PAPER`).
     Last comes what the paper claims of the holes: DITR's error is the smallest.
@@ -129,15 +129,16 @@ def ratio_verdict(report: Mapping[str, Any]) -> str:
             told = "smaller" if high < 1 else "larger" if low > 1 else "not measurably different"
             lies = "below" if paper < low else "above" if paper > high else "inside"
             lines.append(
-                f"DITR's {key} error at equal time is {told}: {middle:.2f} [{low:.2f}, {high:.2f}] times that of "
+                f"+RR's {key} error is {told}: {middle:.2f} [{low:.2f}, {high:.2f}] times that of "
                 f"{name}; the paper's {paper:.2f} to DFNet ({table}) lies {lies} our interval"
             )
     others = [n for n in (*IDEAS, *REGISTRY) if n in mean and mean[n]["geometric"]]
     least = min(others, key=lambda n: mean[n]["geometric"][0])
     gap = report["minus_papers"][least]["geometric"]
+    baseline = " (a baseline)" if least in REGISTRY else ""
     told = "smaller than" if gap[2] < 0 else "larger than" if gap[1] > 0 else "not measurably different from"
     lines.append(
-        f"in the holes the best other method, {least}, has an error {told} DITR's at equal time: "
+        f"In the holes the best other method, {least}{baseline}, has an error {told} +RR's: "
         f"{format_interval(gap, 1000, '+.1f')} mm"
     )
     return "\n".join(lines)

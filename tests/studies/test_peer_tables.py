@@ -78,10 +78,10 @@ def test_the_verdict_follows_the_interval(report, ratio, said):
     optical, whole, holes = compare.ratio_verdict(made).splitlines()
     lies = "above" if ratio[2] < 0.73 else "below" if ratio[1] > 0.74 else "inside"
     assert said in optical and optical.endswith(f"Table V, optical) lies {lies} our interval")
-    assert whole.startswith("DITR's whole error") and whole.endswith(
+    assert whole.startswith("+RR's whole error") and whole.endswith(
         "paper's 0.76 to DFNet (Table I, overall) lies inside our interval"
     )
-    assert holes.startswith("in the holes the best other method, regression, has an error larger than DITR's")
+    assert holes.startswith("In the holes the best other method, regression, has an error larger than +RR's")
 
 
 def test_like_is_compared_with_like():
