@@ -205,8 +205,8 @@ class Ditr:
         self, painting: Painting, mean: np.ndarray, kept: np.ndarray, region: np.ndarray, found: Claim | None
     ) -> np.ndarray:
         """Return :func:`expected_error` of a composed frame, (H, W) float32 metres."""
+        out = painting.spread(region)  # first, while one map of the frame's size less is in memory
         doubt = np.zeros_like(mean) if found is None else found.frame.back(found.probability)
-        out = painting.spread(region)
         for rows in strips(mean.shape):
             out[rows] = expected_error(*(m[rows] for m in (out, mean, kept, region, doubt)), self.config.std)
         return out

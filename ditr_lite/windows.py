@@ -153,6 +153,7 @@ def level(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> Tensor 
     for rows in strips(painted.shape):
         maps = (_ratio(painted[rows], depth[rows], known[rows]), known[rows])
         pooled.append(pool(*(torch.from_numpy(m.astype(np.float32))[None, None] for m in maps)))
+    del painted, known  # of a large frame hundreds of megabytes, which filling needs
     mean, share = (torch.cat(parts, dim=2) for parts in zip(*pooled, strict=True))
     return fill(mean, (share > 0).float())
 
