@@ -5,7 +5,7 @@ process, so ``torch.utils.data.DataLoader`` takes it as it is. Nothing is downlo
 """
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -83,8 +83,25 @@ class FrameFolder:
         return sample
 
     def in_split(self, name: str) -> bool:
-        """Return whether the frame belongs to ``self.split``, by the folders above it."""
-        return self.split in Path(name).parts or self.split in self.root.parts
+        """Return whether the frame belongs to ``self.split``: the nearest folder above it that names one decides.
+
+        So folders above the root count only where none below it names a split: the root may lie inside a split.
+        """
+        folders = reversed((self.root / name).parts)
+        named = (split for folder in folders for split in self.splits if self.is_called(folder, split))
+        return next(named, None) == self.split
+
+    def is_called(self, folder: str, split: str) -> bool:
+        """Return whether a folder of this name holds frames of a split."""
+        return folder == split
+
+    def files(self, names: Sequence[str]) -> list[list[Path]]:
+        """Return, for each of the frames, the files that its maps are read from; an optional one need not be there."""
+        return [self.files_of(self.root / name) for name in names]
+
+    def files_of(self, stem: Path) -> list[Path]:
+        """Return the files that a frame's maps are read from; ``stem`` as for :meth:`read`."""
+        raise NotImplementedError
 
     def read(self, name: str, stem: Path) -> Sample:
         """Read one frame; ``stem`` is its path without what differs from file to file."""

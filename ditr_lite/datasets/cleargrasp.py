@@ -30,6 +30,11 @@ class ClearGrasp(FrameFolder):
         "differentiate the training and testing process': keep real-test out of whatever you tune."
     )
 
+    def files_of(self, stem: Path) -> list[Path]:
+        """Return the files of colour, depth, truth and mask."""
+        endings = ("-transparent-rgb-img.jpg", self.suffix, "-opaque-depth-img.exr", "-mask.png")
+        return [beside(stem, ending) for ending in endings]
+
     def read(self, name: str, stem: Path) -> Sample:
         """Read one frame."""
         rgb = read_rgb(beside(stem, "-transparent-rgb-img.jpg"))
@@ -62,10 +67,15 @@ class ClearGraspSynthetic(FrameFolder):
         "nothing here; the paper trains it on STD-CatKnown."
     )
 
-    def in_split(self, name: str) -> bool:
-        """Return whether a folder above the frame is called like the split or ends in it, as in ``cup-val``."""
-        parts = (self.root / name).parts
-        return any(part == self.split or part.endswith(f"-{self.split}") for part in parts)
+    def is_called(self, folder: str, split: str) -> bool:
+        """Return whether a folder is called like a split or ends in it, as ``cup-val`` does."""
+        return folder == split or folder.endswith(f"-{split}")
+
+    def files_of(self, stem: Path) -> list[Path]:
+        """Return the files of colour, depth and mask."""
+        folder, number = stem.parents[1], stem.name
+        colour = folder / "rgb-imgs" / f"{number}-rgb.jpg"
+        return [colour, beside(stem, self.suffix), folder / "segmentation-masks" / f"{number}-segmentation-mask.png"]
 
     def read(self, name: str, stem: Path) -> Sample:
         """Read one frame."""

@@ -27,7 +27,7 @@ class STD(FrameFolder):
     truth, mask = "_gt_depth.exr", "_mask.png"
     splits = ("train", "test", "novel")
     focal = (918.295, 917.544, 1280)  # fx, fy, width of the picture they hold for
-    novel = "STD-CatNovel"
+    known, novel = "STD-CatKnown", "STD-CatNovel"
     protocol = (
         "Paper, Sec. V-C: train on STD-CatKnown's 13 training scenes, test on its 12 test scenes and on the 5 of "
         "STD-CatNovel; absent ground truth is left out. For ClearGrasp, the geometric branch is trained on ALL of "
@@ -35,11 +35,19 @@ class STD(FrameFolder):
     )
 
     def in_split(self, name: str) -> bool:
-        """Return whether the frame's scene belongs to the split."""
-        parts = (self.root / name).parts
-        if self.split == "novel":
-            return self.novel in parts
-        return self.novel not in parts and any(p == self.split or p.startswith(f"{self.split}_") for p in parts)
+        """Return whether the frame's scene belongs to the split; one of CatNovel to that, whatever it is called."""
+        halves = [part for part in (self.root / name).parts if part in (self.known, self.novel)]
+        if self.novel in halves[-1:]:
+            return self.split == "novel"
+        return super().in_split(name)
+
+    def is_called(self, folder: str, split: str) -> bool:
+        """Return whether a folder is called like a split or begins with it, as ``train_0`` does."""
+        return split != "novel" and (folder == split or folder.startswith(f"{split}_"))
+
+    def files_of(self, stem: Path) -> list[Path]:
+        """Return the files of colour, depth, truth, mask and materials."""
+        return [beside(stem, ending) for ending in ("_color.png", self.suffix, self.truth, self.mask, "_meta.txt")]
 
     def read(self, name: str, stem: Path) -> Sample:
         """Read one frame."""
@@ -78,7 +86,7 @@ class DREDS(STD):
     truth, mask = "_depth_120.exr", "_mask.exr"
     splits = ("train", "val", "test", "novel")
     focal = (446.31, 446.31, 640)
-    novel = "DREDS-CatNovel"
+    known, novel = "DREDS-CatKnown", "DREDS-CatNovel"
     protocol = (
         "Not used by the paper; its simulator is the recipe of ours, so it is the nearest relative of data_samples."
     )

@@ -1,6 +1,7 @@
 """Any camera: a folder of your own frames, colour and depth under the same names."""
 
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,18 @@ class Folder(FrameFolder):
         """Return the depth maps below the root, whatever the case of their suffix."""
         return (path for path in super().find(glob) if path.suffix.lower() in DEPTH)
 
+    def files(self, names: Sequence[str]) -> list[list[Path]]:
+        """Return, for each of the frames, the files that its maps are read from; each folder is listed but once."""
+        listed: dict[Path, dict[str, list[Path]]] = {}
+        found = []
+        for name in names:
+            depth = self.root / name
+            folder = depth.parent
+            if folder not in listed:
+                listed[folder] = _by_stem(folder.parent / kind for kind in ("rgb", "region", "truth"))
+            found.append([depth, *listed[folder].get(depth.stem, ())])
+        return found
+
     def read(self, name: str, stem: Path) -> Sample:
         """Read one frame."""
         folder, known = stem.parents[1], stem.stem
@@ -52,6 +65,16 @@ class Folder(FrameFolder):
             material=None if region is None else np.where(region, TRANSPARENT, OPAQUE).astype(np.uint8),
             meta={"dataset": "folder"},
         )
+
+
+def _by_stem(folders: Iterable[Path]) -> dict[str, list[Path]]:
+    """Return stem -> files of some folders, none of one that is not there."""
+    found: dict[str, list[Path]] = {}
+    for folder in folders:
+        for name in sorted(os.listdir(folder)) if folder.is_dir() else ():
+            path = folder / name
+            found.setdefault(path.stem, []).append(path)
+    return found
 
 
 def _find(folder: Path, name: str, endings: tuple[str, ...]) -> Path | None:

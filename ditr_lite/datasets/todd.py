@@ -25,6 +25,11 @@ class TODD(FrameFolder):
     )
     ignored = 255
 
+    def files_of(self, stem: Path) -> list[Path]:
+        """Return the files of colour, depth, truth and mask."""
+        names = ("image.jpg", "depth.exr", "detph_GroundTruth.exr", "instance_segment.png")
+        return [stem / name for name in names]
+
     def read(self, name: str, stem: Path) -> Sample:
         """Read one frame."""
         instances = red(stem / "instance_segment.png")

@@ -47,6 +47,12 @@ class TransCG(FrameFolder):
             raise ValueError(f"{self.root / 'metadata.json'} should list scenes under {self.split!r}, got {listed!r}")
         return int(name.split("/")[0].removeprefix("scene")) in listed
 
+    def files_of(self, stem: Path) -> list[Path]:
+        """Return the files of colour, depth, truth and mask."""
+        folder, k = stem.parent, stem.name[-1]
+        names = (f"rgb{k}.png", f"depth{k}.png", f"depth{k}-gt.png", f"depth{k}-gt-mask.png")
+        return [folder / name for name in names]
+
     def read(self, name: str, stem: Path) -> Sample:
         """Read one frame."""
         folder, k = stem.parent, name[-1]

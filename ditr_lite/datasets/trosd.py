@@ -37,6 +37,11 @@ class TROSD(FrameFolder):
         """Return whether a list of the split names the frame, or, without lists, whether its folder is called so."""
         return super().in_split(name) if self._listed is None else Path(name).name in self._listed
 
+    def files_of(self, stem: Path) -> list[Path]:
+        """Return the files of colour, depth and mask."""
+        folder, file = stem.parents[1], stem.name
+        return [folder / "rgb" / f"{file}.jpg", folder / "depth" / f"{file}.png", folder / "mask" / f"{file}.png"]
+
     def read(self, name: str, stem: Path) -> Sample:
         """Read one frame."""
         folder, file = stem.parents[1], stem.name

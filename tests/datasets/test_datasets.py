@@ -202,6 +202,45 @@ def test_a_folder_inside_the_dataset_knows_its_split(tmp_path):
         datasets.ClearGrasp(inside, "real-test")
 
 
+SYNTHETIC = "depth-imgs-rectified/0-depth-rectified.exr"
+STD_FILES = [f"{scene}/0000_depth_415.exr" for scene in ("STD-CatKnown/train_0", "STD-CatKnown/test_0")]
+STD_FILES += ["STD-CatNovel/train_like_0/0000_depth_415.exr"]
+
+
+@pytest.mark.parametrize(
+    ("reader", "above", "files", "split", "names"),
+    [
+        (datasets.TODD, "test/TODD", ["train/1/depth.exr", "test/2/depth.exr"], "test", ["test/2"]),
+        (datasets.TROSD, "test/TROSD", ["train/depth/1.png", "test/depth/2.png"], "test", ["test/depth/2"]),
+        (
+            datasets.ClearGraspSynthetic,
+            "my-train/cg",
+            [f"cup-train/{SYNTHETIC}", f"cup-val/{SYNTHETIC}"],
+            "train",
+            ["cup-train/depth-imgs-rectified/0"],
+        ),
+        (
+            datasets.ClearGraspSynthetic,
+            "cg",
+            [f"all-test-val/all-{split}/cup-{split}/{SYNTHETIC}" for split in ("val", "test")],
+            "val",
+            ["all-test-val/all-val/cup-val/depth-imgs-rectified/0"],
+        ),
+        (datasets.STD, "train_data/STD", STD_FILES, "train", ["STD-CatKnown/train_0/0000"]),
+        (datasets.STD, "STD-CatNovel/STD", STD_FILES, "novel", ["STD-CatNovel/train_like_0/0000"]),
+        (datasets.STD, "STD-CatNovel/STD", STD_FILES, "test", ["STD-CatKnown/test_0/0000"]),
+    ],
+)
+def test_folders_above_a_dataset_do_not_name_its_splits(tmp_path, reader, above, files, split, names):
+    for file in files:
+        (tmp_path / above / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / above / file).touch()
+    assert reader(tmp_path / above, split).names == names
+    inside = (tmp_path / above / names[0]).parent  # which any folder of the dataset may be
+    if reader is not datasets.TODD:
+        assert len(reader(inside if reader is datasets.STD else inside.parent, split)) == 1
+
+
 def test_transcg_reads_the_camera_it_has(tmp_path):
     make_transcg(tmp_path)
     frames = datasets.TransCG(tmp_path)
