@@ -1,6 +1,7 @@
 """``complete``: RGB-D frames of any camera, one or a folder of them, become dense depth; also clouds and pictures."""
 
 import os
+import re
 import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
@@ -25,6 +26,12 @@ class Job:
     ply: Path | None = None
     panel: Path | None = None
 
+    @property
+    def is_done(self) -> bool:
+        """Whether all that is wanted of the frame is there."""
+        wanted = [path for path in (self.out, self.ply, self.panel) if path is not None]
+        return all(path.exists() for path in wanted)
+
     def check(self, intrinsics: Path | None) -> None:
         """Refuse targets that cannot be written, or that are inputs, before any work is done."""
         check_target(self.out, *DEPTH)
@@ -43,7 +50,9 @@ def add_arguments(p: ArgumentParser) -> None:
     one.add_argument("--region", type=Path, help="mask of the transparent and reflective region; else it is found")
     one.add_argument("--ply", type=Path, help="also write a point cloud; needs --intrinsics")
     one.add_argument("--panel", type=Path, help="also write a picture of before and after (.png)")
-    many = p.add_argument_group("many frames, paired by their names; those that are there already are left out")
+    many = p.add_argument_group(
+        "many frames, paired by their names; those that are there already are left out, but not with --video"
+    )
     many.add_argument("--rgb-dir", type=Path, metavar="DIR", help="folder of colour pictures, or a quoted pattern")
     many.add_argument("--depth-dir", type=Path, metavar="DIR", help="folder of depth maps, or a quoted pattern")
     many.add_argument("--region-dir", type=Path, metavar="DIR", help="folder of masks, or a quoted pattern")
@@ -51,7 +60,10 @@ def add_arguments(p: ArgumentParser) -> None:
     many.add_argument("--panel-dir", type=Path, metavar="DIR", help="folder for pictures of before and after")
     many.add_argument("--suffix", choices=DEPTH, default=".png", help="kind of completed depth (%(default)s)")
     many.add_argument(
-        "--video", action="store_true", help="the frames follow each other in time: hold still what does not move"
+        "--video",
+        action="store_true",
+        help="the frames follow each other in time, by the numbers in their names: hold still what does not move; all "
+        "are completed, also those that are there already, for each rests on those before it",
     )
     p.add_argument(
         "--depth-scale",
@@ -108,7 +120,7 @@ def complete_many(options: Namespace) -> int:
     jobs = jobs_of(options)
     for job in jobs:
         job.check(options.intrinsics)
-    waiting = jobs if options.video else [job for job in jobs if not job.out.exists()]
+    waiting = jobs if options.video else [job for job in jobs if not job.is_done]
     failed: list[tuple[Path, str]] = []
     system = load_system(options) if waiting else None
     if options.video:
@@ -143,9 +155,12 @@ def jobs_of(options: Namespace) -> list[Job]:
 
     colour, depth = by_name(options.rgb_dir, COLOUR), by_name(options.depth_dir, DEPTH)
     regions = by_name(options.region_dir, MASK) if options.region_dir else {}
-    if not colour.keys() & depth.keys():
+    if len(colour) == len(depth) == 1:  # one of each belong together, whatever they are called
+        colour = dict(zip(depth, colour.values(), strict=True))
+        regions = dict(zip(depth, regions.values(), strict=True)) if len(regions) == 1 else regions
+    elif not colour.keys() & depth.keys():
         colour, depth, regions = (between(found) for found in (colour, depth, regions))
-    names = sorted(colour.keys() & depth.keys())
+    names = sorted(colour.keys() & depth.keys(), key=in_order)
     if not names:
         raise ValueError(
             f"no picture in {options.rgb_dir} has a depth map of its name in {options.depth_dir}: call both alike"
@@ -176,6 +191,12 @@ def by_name(place: Path, endings: Sequence[str]) -> dict[str, Path]:
             raise ValueError(f"{path} and {found[path.stem].name} have the same name: keep one of them")
         found[path.stem] = path
     return found
+
+
+def in_order(name: str) -> tuple[list[str | int], str]:
+    """Return by what names are sorted as people count: f1, f2, f10."""
+    words = re.split(r"(\d+)", name)  # every second one is a number
+    return [int(word) if k % 2 else word for k, word in enumerate(words)], name
 
 
 def between(found: dict[str, Path]) -> dict[str, Path]:

@@ -8,13 +8,16 @@ the longer a claim stays behind what moves too slowly to be noticed, so :data:`S
 a neighbourhood is averaged; a camera's exposure, which changes all colours by one factor, is taken out first.
 """
 
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 
+from ..config import RefineConfig
 from ..pipeline import Completion, Ditr, compose
+from ..windows import Claim
 
 LONGEST = 30  # frames that a running mean reaches back
 AROUND = 9  # pixels of a neighbourhood that is compared, at 256 pixels of width
@@ -32,13 +35,16 @@ class Steady:
     """
 
     def __init__(self, ditr: Ditr):
-        self.ditr = ditr
+        self.ditr = copy(ditr)  # the same networks: all else is done as of a single frame
+        self.ditr.claim = self._claim
         self.seen: tuple[np.ndarray, np.ndarray] | None = None  # running means of smoothed colour and of depth
+        self.same: np.ndarray | None = None  # (H, W) bool, where the frame looks as before
         self.count: np.ndarray | None = None  # (H, W) frames in the running means
-        self.probability: np.ndarray | None = None  # at the working size, as what was claimed
+        self.classes: np.ndarray | None = None  # (classes, h, w) probabilities at the working size, as what was claimed
         self.claimed: np.ndarray | None = None
         self.region: np.ndarray | None = None
         self.painted: np.ndarray | None = None  # (H, W) metres
+        self.drawn: np.ndarray | None = None  # (H, W) frames in what was painted
 
     def __call__(
         self,
@@ -52,18 +58,16 @@ class Steady:
 
         ``how`` are its ``steps``, ``samples`` and ``seed``.
         """
-        same = self._compare(rgb, depth)
-        probability = None
-        if region is None:
-            probability, region = self._find_region(rgb, depth, same)
+        same = self.same = self._compare(rgb, depth)
         out = self.ditr(rgb, depth, region, adjust=adjust, **how)
+        region = out.region
         fresh = np.where(region, out.optical, out.geometric)
         if self.region is not None:
-            same &= self.region == region  # what another branch painted is not averaged with
-        painted = _mean(self.painted, fresh, same, self.count)
-        self.painted, self.region = painted, region
+            same = same & (self.region == region)  # what another branch painted is not averaged with
+        self.drawn = np.where(same, np.minimum(self.drawn + 1, LONGEST), 1).astype(np.float32)
+        self.painted, self.region = _mean(self.painted, fresh, same, self.drawn), region
         kept = np.zeros_like(depth) if adjust else depth
-        return replace(out, depth=compose(kept, painted, painted, region), probability=probability)
+        return replace(out, depth=compose(kept, self.painted, self.painted, region))
 
     def _compare(self, rgb: np.ndarray, depth: np.ndarray) -> np.ndarray:
         """Return (H, W) bool, where the frame looks as before, and take it into the memory."""
@@ -71,7 +75,8 @@ class Steady:
         colour = cv2.blur(rgb.astype(np.float32), (side, side))
         if self.seen is None or self.seen[0].shape != colour.shape:
             self.seen, self.count = (colour, depth.copy()), np.ones(depth.shape, np.float32)
-            self.probability = self.claimed = self.region = self.painted = None
+            self.classes = self.claimed = self.region = self.painted = None
+            self.drawn = np.zeros(depth.shape, np.float32)
             return np.zeros(depth.shape, bool)
         before, read = self.seen
         before = before * _gain(before, colour)
@@ -90,21 +95,24 @@ class Steady:
         self.seen = mean, np.where(moved, depth, readings).astype(np.float32)
         return ~moved
 
-    def _find_region(self, rgb: np.ndarray, depth: np.ndarray, same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return probability and region of a frame, both held where it looks as before."""
+    def _claim(
+        self, rgb: np.ndarray, depth: np.ndarray, threshold: float | None = None, refine: RefineConfig | None = None
+    ) -> Claim:
+        """Return what stage one says of a frame, held where that looks as before; as :meth:`pipeline.Ditr.claim`."""
         frame, classes = self.ditr.classify(rgb, depth)
-        still = frame.into(same.astype(np.uint8)) > 0
+        still = frame.into(self.same.astype(np.uint8)) > 0
         count = np.maximum(frame.into(self.count), 1)
-        now = _mean(self.probability, 1 - classes[0], still, count)
-        threshold = self.ditr.config.refine.threshold
+        self.classes = _mean(self.classes, classes, still, count)
+        now = 1 - self.classes[0]
+        threshold = self.ditr.config.refine.threshold if threshold is None else threshold
         claimed = now > threshold
         if self.claimed is not None:
             dropped = now < max(threshold - BAND, 0.01)
             made = now > min(threshold + BAND, 0.99)
             claimed = np.where(still, np.where(self.claimed, ~dropped, made), claimed)
-        self.probability, self.claimed = now, claimed
-        region = self.ditr.refine(claimed & frame.picture)
-        return frame.back(now), frame.back(region)
+        self.claimed = claimed
+        likelier = np.where(claimed, 1 + self.classes[1:].argmax(axis=0), 0).astype(np.uint8)
+        return Claim(frame, now, likelier, self.ditr.refine(claimed & frame.picture, refine))
 
 
 def _gain(before: np.ndarray, colour: np.ndarray) -> float:

@@ -2,14 +2,16 @@
 
 import re
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from ditr_lite import files, pipeline
-from ditr_lite.cli import main
+from ditr_lite.cli import complete, main
 from ditr_lite.cli.video import Steady
+from ditr_lite.config import StdConfig
 from ditr_lite.data import load_sample
 
 SHAPE = (64, 96)
@@ -136,6 +138,31 @@ def test_patterns_pair_names_by_what_differs(folders, weights, tmp_path, capsys)
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [f"depth_{k:04d}_raw.png" for k in (7, 8, 12)]
 
 
+def test_one_frame_in_folders_is_paired_whatever_its_files_are_called(frame, weights, tmp_path, capsys):
+    for kind, source in (("rgb", "a.png"), ("depth", "b.png"), ("region", "m.png")):
+        (tmp_path / kind).mkdir()
+        shutil.copy(frame / source, tmp_path / kind / f"{kind}_0001.png")
+    given = {f"{kind}_dir": tmp_path / kind for kind in ("rgb", "depth", "region", "out")}
+    assert main(command(weights, **given)) == 0
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["depth_0001.png"]
+    capsys.readouterr()
+    shutil.copy(frame / "m.png", tmp_path / "region" / "region_0002.png")  # which is the frame's?
+    assert "has no mask for depth_0001" in refused(command(weights, **given), capsys)
+    shutil.copy(frame / "b.png", tmp_path / "depth" / "other.png")
+    assert "has a depth map of its name" in refused(command(weights, **given), capsys)
+
+
+def test_pictures_that_are_wanted_later_are_made_then(folders, weights, tmp_path, capsys):
+    shutil.copy(tmp_path / "depth" / "000.PNG", tmp_path / "depth" / "001.PNG")
+    assert main(command(weights, **folders)) == 0
+    folders["panel_dir"] = tmp_path / "panels"
+    assert main(command(weights, **folders)) == 0
+    assert len(list((tmp_path / "panels").iterdir())) == 3
+    capsys.readouterr()
+    assert main(command(weights, **folders)) == 0
+    assert "0 frames completed, 3 were there already" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -167,10 +194,13 @@ class Flickering:
         glass = np.where(bright, 0.62, 0.38) + self.rng.normal(0, 0.06, bright.shape)
         return frame, np.stack([1 - glass, glass, 0 * glass]).astype(np.float32)
 
-    def refine(self, mask):
+    def refine(self, mask, kernels):
         return mask
 
-    def __call__(self, rgb, depth, region, **_):
+    def __call__(self, rgb, depth, region=None, **_):
+        if region is None:
+            found = self.claim(rgb, depth)
+            region = found.frame.back(found.region)
         painted = np.where(rgb.mean(axis=2) > 150, 0.5, 0.7) + self.rng.normal(0, 0.02, depth.shape)
         painted = painted.astype(np.float32)
         zero = np.zeros(depth.shape, bool)
@@ -241,7 +271,55 @@ def test_readings_outside_the_region_are_kept_in_video(flickering):
         assert np.array_equal(out.depth[keep], depth[keep]) and (out.depth > 0).all()
 
 
+def test_a_still_frame_of_a_video_is_as_it_is_alone(weights):
+    ditr = pipeline.Ditr.from_pretrained(path=weights)
+    rgb, depth = scene(36, np.random.default_rng(1))
+    threshold = float(np.median(ditr.claim(rgb, depth).probability))  # untrained, it is close to 2/3 everywhere
+    refine = replace(ditr.config.refine, threshold=threshold, dilate=0)
+    ditr.config = replace(ditr.config, refine=refine, std=StdConfig((0.02, 0.01), (1, 1), kept=0.005, missed=0.05))
+    how = {"steps": 1, "samples": 2}
+    alone, steady = ditr(rgb, depth, **how), Steady(ditr)
+    assert (alone.classes > 0).any() and 0.05 < alone.region.mean() < 0.95
+    for _ in range(3):
+        out = steady(rgb, depth, **how)
+        for name in ("depth", "region", "std", "probability", "classes", "boundary_da"):
+            np.testing.assert_allclose(getattr(out, name), getattr(alone, name), rtol=1e-5, atol=1e-6, err_msg=name)
+    given = Steady(ditr)(rgb, depth, alone.region, **how)
+    assert given.classes is None and given.std[~alone.region].mean() < alone.std[~alone.region].mean()
+
+
+def test_what_another_branch_painted_counts_no_more(flickering):
+    (rgb, depth), steady = scene(36, np.random.default_rng(1)), Steady(flickering)
+    depth[:] = 0.7
+    depth[:, 36:60] = 0
+    everywhere = np.ones(SHAPE, bool)
+    painted = []
+    for k in range(9):
+        out = steady(rgb, depth, everywhere if k < 6 else ~everywhere)
+        painted.append(out.optical)
+    np.testing.assert_allclose(out.depth[:, 36:60], np.mean(painted[6:], axis=0)[:, 36:60], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("names", "order"),
+    [(["f10", "f2", "f1"], ["f1", "f2", "f10"]), (["0010", "0002"], ["0002", "0010"]), (["b1", "a2"], ["a2", "b1"])],
+)
+def test_frames_of_a_video_come_as_people_count(frame, weights, tmp_path, monkeypatch, names, order):
+    for kind, source in (("rgb", "a.png"), ("depth", "b.png")):
+        (tmp_path / kind).mkdir()
+        for name in names:
+            shutil.copy(frame / source, tmp_path / kind / f"{name}.png")
+    seen, write = [], complete.write_job
+    monkeypatch.setattr(complete, "write_job", lambda job, *rest: seen.append(job.out.stem) or write(job, *rest))
+    folders = {f"{kind}_dir": tmp_path / kind for kind in ("rgb", "depth", "out")}
+    assert main([*command(weights, **folders), "--video"]) == 0
+    assert seen == order
+
+
 def test_video_goes_through_the_frames_in_order(folders, weights, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(["complete", "--help"])
+    assert "left out, but not with --video" in " ".join(capsys.readouterr().out.split())
     shutil.copy(tmp_path / "depth" / "000.PNG", tmp_path / "depth" / "001.PNG")
     assert main([*command(weights, **folders), "--video"]) == 0
     assert len(list((tmp_path / "out").iterdir())) == 3
