@@ -60,6 +60,9 @@ class Evaluate:
         results = scoring.run_methods(
             frames, ditr, None, options.given_region, options.steps, options.samples, protocol=protocol
         )
+        skipped = frames.skipped if options.skip_bad else []
+        for reason in skipped:  # first: where all were left out there is nothing to summarise
+            print(f"ditr_lite: left out: {reason}", file=sys.stderr)
         print(f"{source}, region {'given' if options.given_region else 'found by stage one'}")
         print(scoring.format_report(scoring.summary(results, protocol), protocol))
         if options.json:
@@ -67,9 +70,6 @@ class Evaluate:
                 results, command_line(options), options.weights, protocol, **notes(source, options)
             )
             write_json(options.json, written)
-        skipped = frames.skipped if options.skip_bad else []
-        for reason in skipped:
-            print(f"ditr_lite: left out: {reason}", file=sys.stderr)
         return 3 if skipped else 0
 
 

@@ -176,10 +176,10 @@ def fine_tune(options: Namespace, settings: dict[str, str]) -> None:
     for folder in (options.out, work):
         check_folder(folder, _is_of_training, "weights and checkpoints")
     has = [p for p in parts.PARTS if p in adapt.RECIPES and (p != "detail" or config.detail.width)]
+    if options.part not in ("all", *has):  # before frames are decoded for it
+        raise ValueError(f"cannot fine-tune {options.part!r}: choose all or one of {', '.join(has)}")
     for part in has if options.part == "all" else [options.part]:
         pool, held_out = own_frames(options, part, config)
-        if part not in adapt.RECIPES:
-            raise ValueError(f"cannot fine-tune {part!r}: choose all or one of {', '.join(has)}")
         recipe = replace(adapt.RECIPES[part], **changes(options))
         how = {"seed": options.seed, "boundary": options.boundary, "command": command_line(options)}
         how |= {"engine": engine_of(options)} | every_of(options)

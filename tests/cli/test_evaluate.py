@@ -57,6 +57,16 @@ def test_bad_frames_are_left_out_and_reported_on_demand(folder, weights, tmp_pat
     assert code == 3 and len(found) == 1 and "it has no ground-truth depth" in capsys.readouterr().err
 
 
+def test_why_every_frame_is_bad_is_told(folder, weights, capsys):
+    paths = sorted((folder / "depth").iterdir())
+    for path in paths:
+        path.write_bytes(path.read_bytes()[:80])
+    argv = ["evaluate", "--dataset", "folder", "--root", str(folder), "--weights", str(weights), *QUICK]
+    assert main([*argv, "--skip-bad"]) == 2
+    said = capsys.readouterr().err
+    assert all(f"left out: depth/{path.name}: cannot read" in said for path in paths) and "no results" in said
+
+
 @pytest.mark.parametrize("content", ["{}", "[1]", "my notes", '{"recipe": 3}'])
 @pytest.mark.parametrize("command", ["evaluate", "bench", "floor", "bench-boundary"])
 def test_results_replace_nothing_else(command, content, tmp_path, capsys):

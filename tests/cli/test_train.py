@@ -96,6 +96,15 @@ def test_fine_tuning_says_what_it_did_and_needs_a_place_of_its_own(weights, scen
     assert "needs frames of your own" in refused([*argv[:5], "--out", str(tmp_path / "x")], capsys)
 
 
+def test_a_part_that_is_not_fine_tuned_is_refused_before_frames_are_read(
+    weights, scenes, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr("ditr_lite.cli.train.own_frames", None)
+    argv = ["train", "--part", "autoencoder", "--start", str(weights), "--data", str(scenes / "val")]
+    reason = refused([*argv, "--out", str(tmp_path / "out"), "--work", str(tmp_path / "work")], capsys)
+    assert "cannot fine-tune 'autoencoder': choose all or one of region, optical, geometric" in reason
+
+
 def test_weights_of_another_command_are_not_replaced_unasked(scenes, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     argv = ["train", "--part", "region", *TINY, "--data", str(scenes / "val"), "--val", str(scenes / "test")]
