@@ -28,7 +28,12 @@ def _load_classical(path: Path | str | None = None) -> Backend:
 
 def _load_none(path: Path | str | None = None) -> Backend:
     _refuse_path("none", path)
-    return lambda image: np.zeros(np.shape(image)[:2], bool)
+    return find_nothing
+
+
+def find_nothing(image: np.ndarray) -> np.ndarray:
+    """Return no boundary at all, (H, W) bool; unlike a lambda it can be sent to another process."""
+    return np.zeros(np.shape(image)[:2], bool)
 
 
 def _refuse_path(name: str, path: Path | str | None) -> None:

@@ -25,6 +25,7 @@ from .parts import (
     assemble,
     check_same_system,
     claims_in_order,
+    count_scenes,
     painter_of,
     parts_with,
     scene_errors,
@@ -156,7 +157,7 @@ def adapt(
     better = float(np.nanmean(after - before)) < 0
     judged = {"before": _plain(before), "after": _plain(after), "kept": "fine-tuned" if better else "start"}
     notes |= {"command": command, "recipe": vars(recipe), "seed": seed, "judged": judged, **remarks}
-    notes |= {"scenes": {f"{s.names[0]} to {s.names[-1]}": len(s) for s in pool.groups}}
+    notes |= {"scenes": count_scenes(pool.groups)}
     state = model.state_dict() if better else load_part(part, start)
     if is_first():
         save_part(part, state, config, out, notes)

@@ -46,6 +46,27 @@ def folder_name(settings: Mapping[str, Any]) -> str:
     return ",".join(f"{key}={value}" for key, value in settings.items()).replace(" ", "").replace("/", "-")
 
 
+def told_apart(folders: Sequence[Path | str]) -> dict[str, Path | str]:
+    """Return name -> folder: the last part of its path, with those before it that tell it from the other folders."""
+    paths = {Path(folder).absolute(): folder for folder in folders}
+    names = {}
+    for path, folder in paths.items():
+        others, count = [other for other in paths if other != path], 1
+        while any(other.parts[-count:] == path.parts[-count:] for other in others):
+            count += 1
+        names["/".join(path.parts[-count:])] = folder
+    return names
+
+
+def count_scenes(groups: Sequence[Scenes]) -> dict[str, int]:
+    """Return how many scenes groups have, by the names of the first and the last; groups of like names are added up."""
+    counts: dict[str, int] = {}
+    for group in groups:
+        name = f"{group.names[0]} to {group.names[-1]}"
+        counts[name] = counts.get(name, 0) + len(group)
+    return counts
+
+
 def train(
     part: str,
     config: Config,
@@ -96,7 +117,7 @@ def train(
     recipe = recipe or recipes.RECIPES[part]
     wanted = real is None or real.scene_share > 0
     scenes = [load_scenes(folder, limit) for folder in data] if wanted else []
-    held_out = {Path(folder).name: load_scenes(folder) for folder in val}
+    held_out = {name: load_scenes(folder) for name, folder in told_apart(val).items()}
     pool, remarks = Pool(scenes) if real is None else real.pool(part, config, scenes), {}
     if real is not None:
         held_out |= real.held_out(part, config)
@@ -165,7 +186,7 @@ def train_on(
         model.eval()
         model.calibrate(some_latents(model, pool, config))
     notes |= {"command": command, "recipe": vars(recipe), "seed": seed}
-    notes |= {"scenes": {f"{s.names[0]} to {s.names[-1]}": len(s) for s in pool.groups}, **remarks}
+    notes |= {"scenes": count_scenes(pool.groups), **remarks}
     if is_first():
         save_part(part, model.state_dict(), config, out, notes)
     wait_for_all()

@@ -7,8 +7,8 @@ see them anyway).
 
 Frames are decoded once and kept as memory-mapped arrays, at most twice the working size, so that a hundred thousand of
 them need no memory and any number of workers share them. The kept arrays are known by the dataset's frames, the sizes
-and times of their files, and the settings: when one changes they are made again. Every row of them has a checksum, so
-that what a disk spoils is not learnt.
+and times of all files that these are read from (but for the camera's: no map depends on it), and the settings: when one
+changes they are made again. Every row of them has a checksum, so that what a disk spoils is not learnt.
 """
 
 import hashlib
@@ -148,6 +148,11 @@ class Rows:
         self.array, self.checksums, self.index = array, checksums, index
         self.shape, self.dtype = (len(index), *array.shape[1:]), array.dtype
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how another process opens the same file: pickled, a memory map would be a copy of all that it maps."""
+        where = (Path(self.array.filename), self.array.dtype, self.array.shape)
+        return _reopened, (where, self.checksums, self.index)
+
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(self.index)
@@ -168,6 +173,12 @@ class Rows:
         return row
 
 
+def _reopened(where: tuple[Path, np.dtype, tuple[int, ...]], checksums: np.ndarray, index: np.ndarray) -> Rows:
+    """Return rows of an array on disk, ``where`` being its file, type and shape."""
+    path, kind, shape = where
+    return Rows(np.memmap(path, kind, "r", shape=shape), checksums, index)
+
+
 def _rows_for(part: str, group: Kept) -> Scenes:
     index = np.flatnonzero(group.teach[:, TEACH.index(WANTED[part])])
     rows = {name: Rows(group.arrays[name], group.checksums[name], index) for name in MAPS}
@@ -186,7 +197,7 @@ def kept(reader: FrameFolder, how: RealFrames, size: tuple[int, int]) -> list[Ke
         ValueError: in a process that does not see what the first one put there.
     """
     names = reader.names[: how.limit]
-    stats = [_stat(reader, name) for name in names]
+    stats = [list(map(_stat, paths)) for paths in reader.files(names)]
     plain = json.dumps([how.name, names, stats, how.zero_region, size])
     key = hashlib.sha256(plain.encode()).hexdigest()[:16]
     folder = Path(how.cache) / f"{how.name}-{key}"
@@ -230,11 +241,13 @@ def _digest(groups: list[dict[str, Any]]) -> str:
     return hashlib.sha256(json.dumps(groups).encode()).hexdigest()
 
 
-def _stat(reader: FrameFolder, name: str) -> list[int]:
-    """Return size and time of a frame's file of raw depth."""
-    path = Path(f"{reader.root / name}{reader.suffix}")
-    found = path.stat() if path.is_file() else None
-    return [found.st_size, found.st_mtime_ns] if found else []
+def _stat(path: Path) -> list[int]:
+    """Return size and time of a file, nothing of one that is not there."""
+    try:
+        found = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    return [found.st_size, found.st_mtime_ns]
 
 
 def _decode(reader: FrameFolder, names: list[str], how: RealFrames, size: tuple[int, int], folder: Path) -> None:

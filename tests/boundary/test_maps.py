@@ -1,3 +1,4 @@
+import pickle
 import subprocess
 import sys
 
@@ -89,6 +90,7 @@ def test_no_guide_at_all():
     backend = get_backend("none")
     assert not backend(picture()).any() and backend(picture()).shape == backend(plane()).shape == (60, 80)
     assert not np.any(boundary_maps(picture(), with_box(plane()), backend))
+    assert not pickle.loads(pickle.dumps(backend))(picture()).any()  # as workers that are spawned get it
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,12 @@ def test_what_does_not_help_leaves_the_start(start, tmp_path, part, monkeypatch)
         assert torch.equal(value, load_part(part, tmp_path / "out")[key])
 
 
+def test_the_card_counts_frames_of_like_names(start, tmp_path):
+    pool = mixed([own(4), own(4)], [make_scenes(3, SIZE)], 0.5)
+    notes = adapt("region", TINY, pool, own(6, 7), start, tmp_path / "out", tmp_path / "work", SHORT)
+    assert notes["scenes"] == {"made_0 to made_2": 3, "made_0 to made_3": 8}
+
+
 def test_the_weights_to_start_from_and_the_packages_own_are_never_replaced(start, tmp_path):
     for out, whose in ((start, "the weights to start from"), (WEIGHTS, "the package's own weights")):
         with pytest.raises(ValueError, match=f"holds {whose}, which fine-tuning never replaces: give --out"):

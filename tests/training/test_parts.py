@@ -1,8 +1,10 @@
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from made_scenes import make_scenes
 
 import ditr_lite as dl
 from ditr_lite.config import Config, override, preset
@@ -14,10 +16,12 @@ from ditr_lite.training.parts import (
     PARTS,
     check_same_system,
     claims_in_order,
+    count_scenes,
     folder_name,
     needs,
     root_mean_square,
     scene_errors,
+    told_apart,
     train,
     train_on,
 )
@@ -124,6 +128,31 @@ def test_a_branch_does_not_go_on_after_another_autoencoder(trained, data, tmp_pa
     (tmp_path / "other" / "weights").rename(tmp_path / "weights")
     with pytest.raises(ValueError, match="optical.checkpoint.safetensors belongs to another run"):
         go("optical", data, tmp_path)
+
+
+def test_folders_of_one_name_are_validated_apart(data, tmp_path, monkeypatch):
+    folders = [shutil.copytree(data, tmp_path / place / "val") for place in ("a", "b")]
+    seen = {}
+    monkeypatch.setattr(module, "train_on", lambda part, config, pool, held_out, *how, **more: seen.update(held_out))
+    train("region", TINY, [data], [*folders, data], tmp_path / "out", tmp_path)
+    assert list(seen) == ["a/val", "b/val", data.name]
+
+
+def test_folders_are_told_apart_by_the_fewest_parts(tmp_path):
+    a, b, c = tmp_path / "a" / "x" / "val", tmp_path / "b" / "x" / "val", tmp_path / "c" / "other"
+    assert told_apart([a, b, c]) == {"a/x/val": a, "b/x/val": b, "other": c}
+    assert told_apart([a, str(a), c]) == {"val": str(a), "other": c}
+    assert told_apart(["val", "x/val"]) == {f"{Path.cwd().name}/val": "val", "x/val": "x/val"}
+
+
+def test_groups_of_like_names_are_added_up():
+    groups = [make_scenes(3, (32, 32)), make_scenes(2, (32, 32)), make_scenes(3, (32, 32), 1)]
+    assert count_scenes(groups) == {"made_0 to made_2": 6, "made_0 to made_1": 2}
+
+
+def test_the_card_counts_scenes_of_like_names(data, tmp_path):
+    notes = train("region", TINY, [data, data], [data], tmp_path / "weights", tmp_path, Recipe(steps=1, batch=2, lr=0))
+    assert notes["scenes"] == {"val_00000 to val_00002": 6}
 
 
 def test_settings_name_a_folder():

@@ -1,5 +1,7 @@
 """Real datasets as training scenes; the files are our own scenes, exported in each dataset's layout."""
 
+import pickle
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +11,7 @@ from made_scenes import make_scenes
 import ditr_lite as dl
 from ditr_lite.config import preset
 from ditr_lite.data import Sample
+from ditr_lite.datasets import REGISTRY
 from ditr_lite.datasets.export import WRITERS, export
 from ditr_lite.region import IGNORE
 from ditr_lite.training import readers
@@ -62,6 +65,55 @@ def test_decoded_frames_are_kept_and_made_again_when_something_changes(exported,
     replace(frames, zero_region=True).scenes("optical", TINY, None)
     replace(frames, limit=2).scenes("optical", TINY, None)
     assert len(calls) == 3
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_the_files_of_a_frame_are_those_that_its_maps_depend_on(exported, name, tmp_path):
+    root = shutil.copytree(exported / name, tmp_path / name)
+    reader = REGISTRY[name](root)
+    first = reader.names[0]
+    [told] = reader.files([first])
+    before, needed = reader[first], set()
+    for path in [path for path in root.rglob("*") if path.is_file()]:
+        aside = path.rename(tmp_path / "aside")
+        try:
+            now = reader[first]
+            same = [np.array_equal(getattr(now, key), getattr(before, key)) for key in (*MAPS, "region")]
+        except ValueError:  # it cannot be read without this file
+            same = [False]
+        aside.rename(path)
+        needed |= set() if all(same) else {path}
+    assert set(told) == needed and len(told) == len(needed) >= 3
+
+
+@pytest.mark.parametrize("kind", ["rgb", "depth", "region", "truth"])
+def test_frames_are_decoded_again_when_any_of_their_files_changes(exported, tmp_path, kind):
+    root = shutil.copytree(exported / "folder", tmp_path / "folder")
+    frames = RealFrames("folder", root, cache=tmp_path / "cache")
+    kept = [frames.scenes("region", TINY, None)[0].key]
+    one, other = sorted((root / kind).iterdir())[:2]
+    shutil.copy(other, one)
+    kept.append(frames.scenes("region", TINY, None)[0].key)
+    if kind in ("region", "truth"):  # which a frame may lack
+        one.unlink()
+        kept.append(frames.scenes("region", TINY, None)[0].key)
+    assert len(set(kept)) == len(kept)
+
+
+def test_rows_are_sent_to_another_process_by_their_place(exported, tmp_path):
+    [group] = RealFrames("folder", exported / "folder", cache=tmp_path).scenes("optical", TINY, None)
+    sent = pickle.dumps(group)
+    assert len(sent) < 10_000 < group.depth.array.nbytes
+    again = pickle.loads(sent)
+    assert (
+        checksum(every(again, range(3))) == checksum(every(group, range(3))) and not again.depth.array.flags.writeable
+    )
+    assert np.array_equal(pickle.loads(pickle.dumps(group.rgb[1:]))[0], group.rgb[1])
+    [folder] = tmp_path.iterdir()
+    depth = folder / "0_depth.bin"
+    depth.write_bytes(bytes(depth.stat().st_size))
+    with pytest.raises(ValueError, match=f"a decoded frame in {folder} is damaged"):
+        pickle.loads(sent).depth[0]
 
 
 def test_damaged_frames_are_noticed_and_a_spoilt_folder_is_made_again(exported, tmp_path):
