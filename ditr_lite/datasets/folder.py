@@ -1,7 +1,6 @@
 """Any camera: a folder of your own frames, colour and depth under the same names."""
 
-import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -30,29 +29,39 @@ class Folder(FrameFolder):
 
     def __init__(self, root: Path | str, split: str | None = None, depth_scale: float | None = None):
         self.depth_scale = depth_scale
+        self.listed: dict[Path, dict[str, list[Path]]] = {}  # folder -> stem -> files
         super().__init__(root, split)
 
     def find(self, glob: str) -> Iterable[Path]:
         """Return the depth maps below the root, whatever the case of their suffix."""
         return (path for path in super().find(glob) if path.suffix.lower() in DEPTH)
 
-    def files(self, names: Sequence[str]) -> list[list[Path]]:
-        """Return, for each of the frames, the files that its maps are read from; each folder is listed but once."""
-        listed: dict[Path, dict[str, list[Path]]] = {}
-        found = []
-        for name in names:
-            depth = self.root / name
-            folder = depth.parent
-            if folder not in listed:
-                listed[folder] = _by_stem(folder.parent / kind for kind in ("rgb", "region", "truth"))
-            found.append([depth, *listed[folder].get(depth.stem, ())])
-        return found
+    def files_of(self, stem: Path) -> list[Path]:
+        """Return the files of depth, colour, region and truth."""
+        kinds = (stem.parents[1] / kind for kind in ("rgb", "region", "truth"))
+        return [stem, *(path for kind in kinds for path in self.called(kind, stem.stem))]
+
+    def called(self, folder: Path, name: str) -> list[Path]:
+        """Return the files of a folder that are called so, whatever their suffix.
+
+        A folder is listed once: to list it for every frame takes the longer, the more there are.
+        """
+        if folder not in self.listed:
+            self.listed[folder] = {}
+            for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+                self.listed[folder].setdefault(path.stem, []).append(path)
+        return self.listed[folder].get(name, [])
 
     def read(self, name: str, stem: Path) -> Sample:
         """Read one frame."""
         folder, known = stem.parents[1], stem.stem
-        rgb = read_rgb(_one(folder / "rgb", known, COLOUR))
-        mask, truth = _find(folder / "region", known, MASK), _find(folder / "truth", known, DEPTH)
+        colour, mask, truth = (
+            next((path for path in self.called(folder / kind, known) if path.suffix.lower() in endings), None)
+            for kind, endings in (("rgb", COLOUR), ("region", MASK), ("truth", DEPTH))
+        )
+        if colour is None:
+            raise ValueError(f"no colour picture for {known} in {folder / 'rgb'}: expected one of {', '.join(COLOUR)}")
+        rgb = read_rgb(colour)
         region = read_mask(mask) if mask else None
         camera = next((folder / c for c in CAMERAS if (folder / c).is_file()), None)
         return Sample(
@@ -65,28 +74,3 @@ class Folder(FrameFolder):
             material=None if region is None else np.where(region, TRANSPARENT, OPAQUE).astype(np.uint8),
             meta={"dataset": "folder"},
         )
-
-
-def _by_stem(folders: Iterable[Path]) -> dict[str, list[Path]]:
-    """Return stem -> files of some folders, none of one that is not there."""
-    found: dict[str, list[Path]] = {}
-    for folder in folders:
-        for name in sorted(os.listdir(folder)) if folder.is_dir() else ():
-            path = folder / name
-            found.setdefault(path.stem, []).append(path)
-    return found
-
-
-def _find(folder: Path, name: str, endings: tuple[str, ...]) -> Path | None:
-    """Return the file of a folder that is called so, with one of the endings in any case, or None."""
-    if not folder.is_dir():
-        return None
-    named = (path for path in sorted(folder.iterdir()) if path.stem == name and path.suffix.lower() in endings)
-    return next(named, None)
-
-
-def _one(folder: Path, name: str, endings: tuple[str, ...]) -> Path:
-    found = _find(folder, name, endings)
-    if found is None:
-        raise ValueError(f"no colour picture for {name} in {folder}: expected {name} with {', '.join(endings)}")
-    return found

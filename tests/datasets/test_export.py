@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -209,7 +210,18 @@ def test_a_folder_of_your_own_needs_only_two_files_a_frame(tmp_path):
     assert sample.region is None and sample.camera is None and sample.depth_gt is None
     (tmp_path / "rgb" / "a.jpg").unlink()
     with pytest.raises(ValueError, match="no colour picture for a in"):
-        frames[0]
+        datasets.Folder(tmp_path, depth_scale=1e-4)[0]
+
+
+def test_a_folder_of_many_frames_is_listed_once(tmp_path, monkeypatch):
+    for i in range(4):
+        for kind, array in (("rgb", SCENES[0].rgb), ("depth", (SCENES[0].depth * 1000).astype(np.uint16))):
+            (tmp_path / kind).mkdir(exist_ok=True)
+            cv2.imwrite(str(tmp_path / kind / f"{i}.png"), array)
+    frames, listed = datasets.Folder(tmp_path), []
+    listing = Path.iterdir
+    monkeypatch.setattr(Path, "iterdir", lambda path: listed.append(path.name) or listing(path))
+    assert len(list(frames)) == 4 and listed.count("rgb") == 1
 
 
 @pytest.mark.parametrize(
