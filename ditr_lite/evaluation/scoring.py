@@ -207,7 +207,7 @@ def to_json(
     protocol: Protocol | None = None,
     **notes: Any,
 ) -> Result:
-    """Return what a committed result file holds: its head, the summary, RMSE of every frame.
+    """Return what a committed result file holds: its head, the summary, RMSE and stage one's figures of every frame.
 
     Args:
         results: of :func:`run_methods`.
@@ -221,8 +221,10 @@ def to_json(
         rows = frames[result["name"]] = {}
         for method, scores in result["methods"].items():
             rows[method] = {key: score and round(score["rmse"], 6) for key, score in (scores or {}).items()}
+    one = {result["name"]: result["stage_one"] for result in results if result["stage_one"]}
+    one = {name: {key: v if v is None else round(v, 6) for key, v in row.items()} for name, row in one.items()}
     begin = head(command, weights, **notes)
-    return {**begin, "summary": summary(results, protocol), "rmse_m": frames}
+    return {**begin, "summary": summary(results, protocol), "rmse_m": frames, "stage_one": one}
 
 
 def _averages(results: Sequence[Result], key: str, average: Callable[[list], dict]) -> dict[str, Any]:

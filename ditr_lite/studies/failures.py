@@ -8,7 +8,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .. import metrics
 from ..data import Sample
 from ..evaluation.statistics import spearman_bootstrap
 
@@ -26,12 +25,12 @@ PAPER = ("largest_share", "overlap")  # Sec. V-G names these two
 Description = dict[str, float | None]
 
 
-def describe(sample: Sample, found: np.ndarray | None = None) -> Description:
-    """Return the figures of :data:`DESCRIBED` for one frame; ``miss_rate`` is None without ``found``.
+def describe(sample: Sample, miss_rate: float | None = None) -> Description:
+    """Return the figures of :data:`DESCRIBED` for one frame.
 
     Args:
         sample: with region, instances and ground truth.
-        found: (H, W) bool, the region that stage one found, after refinement.
+        miss_rate: of stage one after refinement, as ``evaluate`` measures it; None where it is not known.
 
     Raises:
         ValueError: for a frame without those, or with nothing in its region.
@@ -50,7 +49,7 @@ def describe(sample: Sample, found: np.ndarray | None = None) -> Description:
         "overlap": overlap(sample.instances, sample.region),
         "distance_m": float(np.median(sample.depth_gt[known])),
         "missing_share": float((sample.depth[sample.region] == 0).mean()),
-        "miss_rate": None if found is None else metrics.miss_rate(found, sample.region),
+        "miss_rate": miss_rate,
     }
 
 

@@ -226,6 +226,9 @@ def test_json_holds_checksums_command_and_every_frame(tmp_path):
     assert list(values["rmse_m"]) == ["a", "b"]
     mean = np.mean([frame["ditr"]["optical"] for frame in values["rmse_m"].values()])
     assert np.isclose(mean, values["summary"]["methods"]["ditr"]["optical"]["rmse"], atol=1e-6)
+    missed = np.mean([frame["miss_rate"] for frame in values["stage_one"].values()])
+    assert list(values["stage_one"]) == ["a", "b"]
+    assert np.isclose(missed, values["summary"]["stage_one"]["miss_rate"][0], atol=1e-6)
 
 
 def test_the_real_system_keeps_what_it_must(tiny):
