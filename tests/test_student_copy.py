@@ -83,6 +83,17 @@ def test_what_stands_below_the_checkers_is_refused():
         students.student_copy(notebook(EXERCISE + "\nprint(area(1))"))
 
 
+def test_links_lead_to_the_repository_from_wherever_a_copy_lies(tmp_path):
+    path = ROOT / "notebooks" / "08_ablations.ipynb"
+    students.write_copies([path], tmp_path / "a" / "b")
+    student = nbformat.read(tmp_path / "a" / "b" / path.name, as_version=4)
+    linked = [part.split(")")[0] for cell in student.cells for part in cell.source.split("](")[1:]]
+    assert any("data_samples" in link for link in linked)
+    for link in linked:
+        if ".." in link:
+            assert (tmp_path / "a" / "b" / link.split("#")[0]).exists(), link
+
+
 def test_a_copy_that_somebody_worked_in_is_kept(original, tmp_path, capsys):
     out = tmp_path / "out"
     assert students.main([str(original), "--out", str(out)]) == 0 and "kept" not in capsys.readouterr().out

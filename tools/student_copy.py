@@ -137,13 +137,16 @@ def fingerprint(notebook: nbformat.NotebookNode) -> str:
     return hashlib.sha256(written.encode()).hexdigest()
 
 
-def student_copy(notebook: nbformat.NotebookNode, name: str = "", solved: bool = False) -> nbformat.NotebookNode:
+def student_copy(
+    notebook: nbformat.NotebookNode, name: str = "", solved: bool = False, root: str = ".."
+) -> nbformat.NotebookNode:
     """Return a copy of ``notebook`` without solutions, outputs and output checks; the original stays as it is.
 
     Args:
         notebook: one with the solutions marked.
         name: what its copies are recognised by when they are handed in, for example ``00_start_here``.
         solved: leave the solutions in, markers included.
+        root: the repository, as seen from the copy's folder; links begin there.
 
     Raises:
         ValueError: for an exercise that cannot be taken apart, naming the code cell.
@@ -153,6 +156,7 @@ def student_copy(notebook: nbformat.NotebookNode, name: str = "", solved: bool =
     code = 0
     for cell in student.cells:
         if cell.cell_type != "code":
+            cell.source = cell.source.replace("](../", f"]({root}/")
             cells.append(cell)
             continue
         cell.outputs, cell.execution_count = [], None
@@ -190,6 +194,14 @@ def was_worked_in(path: Path) -> bool:
     return recorded is None or recorded != fingerprint(nbformat.read(path, as_version=4))
 
 
+def seen_from(folder: Path) -> str:
+    """Return the path of the repository from a folder, as links write it."""
+    try:
+        return Path(os.path.relpath(ROOT, folder)).as_posix()
+    except ValueError:  # on another drive of Windows
+        return ROOT.as_posix()
+
+
 def write_copies(
     paths: list[Path], out: Path, solved: bool = False, repository: str | None = None
 ) -> tuple[list[Path], list[Path]]:
@@ -198,10 +210,10 @@ def write_copies(
     Raises:
         ValueError: for an exercise that cannot be taken apart, naming the notebook; then nothing is written.
     """
-    copies = {}
+    copies, root = {}, seen_from(out)
     for path in paths:
         try:
-            student = student_copy(nbformat.read(path, as_version=4), path.stem, solved)
+            student = student_copy(nbformat.read(path, as_version=4), path.stem, solved, root)
         except ValueError as error:
             raise ValueError(f"{path.name}: {error}") from None
         if repository:
