@@ -13,4 +13,4 @@ help $(TARGETS):
 	@$(PYTHON) tasks.py $@ $(ARGS)
 
 grade: # FOLDER holds what was handed in
-	@$(PYTHON) tasks.py grade $(FOLDER) $(ARGS)
+	@$(PYTHON) tasks.py grade $(if $(FOLDER),"$(FOLDER)") $(ARGS)

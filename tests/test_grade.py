@@ -1,6 +1,7 @@
 """tools/grade.py: planted submissions get the verdicts that they deserve, and cannot touch what is not theirs."""
 
 import csv
+import os
 import re
 import subprocess
 import sys
@@ -123,6 +124,37 @@ def test_a_function_that_is_not_there_and_one_in_a_cell_of_the_student(tmp_path)
     assert len(prepared.cells) < len(whole.cells)
 
 
+def test_answers_above_the_heading_or_beside_magics_are_found():
+    tasks = grade.tasks_of(ORIGINAL)
+    notebook = submission({k: f"%%time\n{v}" if k == "rmse" else v for k, v in RIGHT.items()})
+    assert not grade.with_our_checkers(notebook, tasks, whole=False)[1]
+    notebook.cells = [cell for cell in notebook.cells if not grade.EXERCISES.search(cell.source)]
+    assert len(grade.with_our_checkers(notebook, tasks, whole=False)[1]) == len(tasks)
+    assert grade.needs_all_cells([], notebook, tasks)
+    for source in (
+        "!pip list\ndef f(x):\n    return x",
+        "f = lambda x: x",
+        "%timeit 1\nnp.sum?\ndef f(x):\n    return x",
+    ):
+        assert student_copy.functions_in(source) == ["f"]
+
+
+def test_a_cell_that_is_not_python_is_told_from_one_that_is_missing():
+    task = grade.tasks_of(ORIGINAL)[0]
+    broken = new_notebook(cells=[new_code_cell(f"def {task.functions[0]}(x:\n    return x")])
+    assert grade.why_missing(broken, task) == ("stopped", "SyntaxError: the cell that defines it is not Python")
+    assert grade.why_missing(new_notebook(), task)[0] == "missing"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of any bytes")
+def test_odd_names_and_odd_metadata_stop_nobody(tmp_path):
+    folder = tmp_path / "submitted"
+    hand_in(folder, a=new_notebook(metadata={"ditr_lite": "x"}))
+    (folder / "a").rename(folder / os.fsdecode(b"M\xfcller"))
+    (row,) = graded(folder, tmp_path).values()
+    assert row["file"] == f"M\N{REPLACEMENT CHARACTER}ller/{NAME}.ipynb" and row["verdict"] == "unreadable"
+
+
 def test_a_name_from_above_the_exercises_is_found_by_running_all(monkeypatch):
     runs = []
 
@@ -139,7 +171,7 @@ def test_a_name_from_above_the_exercises_is_found_by_running_all(monkeypatch):
     monkeypatch.setattr(grade, "run_apart", run_apart)
     options = grade.argparse.Namespace(whole=False, timeout=1, limit=1)
     path = ROOT / "notebooks" / f"{NAME}.ipynb"
-    rows = grade.grade(path, path.parent, {NAME: path}, options)
+    rows = grade.grade(path, path.parent, {NAME: grade.tasks_of(ORIGINAL)}, options)
     assert len(runs) == 2 and runs[0] < runs[1] and rows[1].verdict == "wrong"
 
 

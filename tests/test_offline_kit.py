@@ -63,7 +63,7 @@ def test_the_installer_asks_no_network_and_refuses_another_python(packed, monkey
     noting = "import os, sys; print(sys.argv[1:], os.environ['PIP_NO_INDEX'], os.environ['PIP_FIND_LINKS'])"
     (folder / "ditr_lite" / "tasks.py").write_text(noting)
     done = subprocess.run([sys.executable, folder / "install.py"], check=True, capture_output=True, text=True)
-    assert f"['class'] 1 {folder / 'wheels'}" in done.stdout and "tasks.py lab" in done.stdout
+    assert f"['class'] 1 {(folder / 'wheels').as_uri()}" in done.stdout and "tasks.py lab" in done.stdout
     installer = (folder / "install.py").read_text()
     (folder / "install.py").write_text(installer.replace(str(sys.version_info[:2]), "(2, 7)"))
     done = subprocess.run([sys.executable, folder / "install.py"], capture_output=True, text=True)

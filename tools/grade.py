@@ -233,22 +233,34 @@ def verdict(cell: nbformat.NotebookNode | None, name: str, timeout: float) -> tu
     return ("not attempted" if reason == NOT_ATTEMPTED else "wrong"), reason
 
 
-def grade(path: Path, folder: Path, originals: dict[str, Path], options: argparse.Namespace) -> list[Row]:
-    """Run one submission and return a row for each checker."""
-    file = path.relative_to(folder).as_posix()
+def grade(path: Path, folder: Path, tasks: dict[str, list[Task]], options: argparse.Namespace) -> list[Row]:
+    """Run one submission and return a row for each checker.
+
+    Args:
+        path: of the submission.
+        folder: that it was handed in with.
+        tasks: notebook of the collection -> its checkers.
+        options: of the command line.
+    """
+    file = os.fsencode(path.relative_to(folder).as_posix()).decode("utf-8", "replace")  # names may be of any encoding
     try:
         submission = nbformat.read(path, as_version=4)
         nbformat.validate(submission)
+        name = notebook_of(submission, path, list(tasks))
+        if name is None:
+            return [Row(file, "", "", "", "unknown notebook", "neither its metadata nor its name says which one it is")]
+        rows = _run_and_read(file, name, submission, tasks[name], options, options.whole)
+        if not options.whole and needs_all_cells(rows, submission, tasks[name]):
+            rows = _run_and_read(file, name, submission, tasks[name], options, True)
     except Exception as error:  # whatever was handed in, the others are graded
         return [Row(file, "", "", "", "unreadable", f"{type(error).__name__}: {error}".splitlines()[0])]
-    name = notebook_of(submission, path, list(originals))
-    if name is None:
-        return [Row(file, "", "", "", "unknown notebook", "neither its metadata nor its name says which one it is")]
-    tasks = tasks_of(nbformat.read(originals[name], as_version=4))
-    rows = _run_and_read(file, name, submission, tasks, options, options.whole)
-    if not options.whole and any("NameError" in row.reason for row in rows):
-        rows = _run_and_read(file, name, submission, tasks, options, True)
     return rows
+
+
+def needs_all_cells(rows: list[Row], submission: nbformat.NotebookNode, tasks: list[Task]) -> bool:
+    """Return whether something stands above the exercises that they need: a name, or an answer itself."""
+    above = len(with_our_checkers(submission, tasks, True)[1]) < len(with_our_checkers(submission, tasks, False)[1])
+    return above or any("NameError" in row.reason for row in rows)
 
 
 def _run_and_read(file, name, submission, tasks, options, whole) -> list[Row]:
@@ -263,11 +275,19 @@ def _run_and_read(file, name, submission, tasks, options, whole) -> list[Row]:
     rows = []
     for number, task in enumerate(tasks):
         if task in missing:
-            said, reason = "missing", f"no function called {' or '.join(task.functions)}"
+            said, reason = why_missing(submission, task)
         else:
             said, reason = verdict(cells.get(number), task.checker, options.timeout)
         rows.append(Row(file, name, task.exercise, task.checker, said, reason, int(said == "right"), raised))
     return rows
+
+
+def why_missing(submission: nbformat.NotebookNode, task: Task) -> tuple[str, str]:
+    """Return verdict and reason of a task of which no function was found."""
+    names = "|".join(map(re.escape, task.functions))
+    if any(re.search(rf"^def ({names})\b", cell.source, re.MULTILINE) for cell in submission.cells):
+        return "stopped", "SyntaxError: the cell that defines it is not Python"
+    return "missing", f"no function called {' or '.join(task.functions)}"
 
 
 def write_csv(rows: list[Row], path: Path) -> None:
@@ -308,10 +328,15 @@ def main(arguments: list[str] | None = None) -> int:
     if not paths:
         print(f"grade: no notebook (*.ipynb) in {options.folder}", file=sys.stderr)
         return 2
-    originals = {path.stem: path for path in sorted((ROOT / "notebooks").glob("*.ipynb"))}
+    originals = sorted((ROOT / "notebooks").glob("*.ipynb"))
+    try:
+        tasks = {path.stem: tasks_of(nbformat.read(path, as_version=4)) for path in originals}
+    except ValueError as error:
+        print(f"grade: {error}; the notebooks are needed with their outputs", file=sys.stderr)
+        return 2
     rows: list[Row] = []
     for path in paths:
-        graded = grade(path, options.folder, originals, options)
+        graded = grade(path, options.folder, tasks, options)
         rows += graded
         print(f"{graded[0].file}: {sum(row.points for row in graded)} of {len(graded)}", flush=True)
     write_csv(rows, target)

@@ -33,7 +33,7 @@ from pathlib import Path
 here = Path(__file__).resolve().parent
 if sys.version_info[:2] != {python}:
     sys.exit("this kit is for Python {version}, and this is " + sys.version.split()[0])
-offline = {{"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(here / "wheels"), "PIP_DISABLE_PIP_VERSION_CHECK": "1"}}
+offline = {{"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": (here / "wheels").as_uri(), "PIP_DISABLE_PIP_VERSION_CHECK": "1"}}
 command = [sys.executable, str(here / "ditr_lite" / "tasks.py"), "{task}"]
 code = subprocess.run(command, env={{**os.environ, **offline}}).returncode
 print("now:  cd ditr_lite  and  " + Path(sys.executable).name + " tasks.py lab" if code == 0 else "not installed")

@@ -29,6 +29,7 @@ BEGIN, END = "# BEGIN SOLUTION", "# END SOLUTION"
 STUB = 'raise NotImplementedError("your turn: replace this line")'
 CHECK_TAG = "nbval-check-output"
 CHECK_COMMENT = re.compile(r"^\s*#+\s*NBVAL_CHECK_OUTPUT\s*$\n?", re.MULTILINE)
+MAGIC = re.compile(r"^[%!].*$|^[\w.]+\?+$", re.MULTILINE)  # what Jupyter understands and Python does not
 REPOSITORY = re.compile(r"[\w.-]+/[\w.-]+")
 INSTALL = """# Fetches and installs ditr_lite where it is not installed, as on Colab; elsewhere it does nothing.
 import importlib.util
@@ -97,11 +98,17 @@ def split_checkers(source: str) -> tuple[str, list[str]]:
 
 
 def functions_in(source: str) -> list[str]:
-    """Return the names of the functions that a cell defines at its top level; none where it is not Python."""
+    """Return the names of the functions that a cell defines at its top level, also beside magics and as a lambda.
+
+    None where it is not Python.
+    """
     try:
-        return [node.name for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)]
+        statements = ast.parse(MAGIC.sub("", source)).body
     except SyntaxError:
         return []
+    names = [node.name for node in statements if isinstance(node, ast.FunctionDef)]
+    lambdas = [node for node in statements if isinstance(node, ast.Assign) and isinstance(node.value, ast.Lambda)]
+    return names + [target.id for node in lambdas for target in node.targets if isinstance(target, ast.Name)]
 
 
 def _nbgrader(name: str, **role: bool | int) -> dict:

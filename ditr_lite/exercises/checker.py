@@ -44,7 +44,7 @@ def announce(name: str, problem: Callable[[], str | None]) -> bool:
             reason = problem()
     except NotImplementedError:
         reason = "not attempted yet"
-    except Exception as error:  # whatever the learner's code does, the notebook goes on
+    except (Exception, SystemExit) as error:  # whatever the learner's code does, the notebook goes on
         reason = f"stopped with {type(error).__name__}: {error}"
     print(f"✗ {name}: {reason}" if reason else f"✓ {name}")
     return not reason
@@ -80,6 +80,7 @@ def _difference(got: Any, want: Any, rtol: float, dtype: bool = False) -> str | 
         return "it returns nothing: is a `return` missing?"
     if _ragged(got) or _ragged(want):
         return _difference_of_parts(got, want, rtol)
+    got = got.detach() if hasattr(got, "detach") else got  # a tensor with a gradient is no array
     got, want = np.asarray(got), np.asarray(want)
     if got.shape != want.shape:
         return f"the result should have shape {want.shape}, got {got.shape}"

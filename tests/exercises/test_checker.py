@@ -1,5 +1,8 @@
+import sys
+
 import numpy as np
 import pytest
+import torch
 
 from ditr_lite.exercises.checker import announce, check
 
@@ -107,3 +110,9 @@ def test_bit_for_bit(capsys):
 def test_verdict_of_a_free_check(capsys):
     assert announce("a", lambda: None) and not announce("b", lambda: "too small")
     assert capsys.readouterr().out == "✓ a\n✗ b: too small\n"
+
+
+def test_leaving_the_program_is_a_reason_and_a_gradient_no_obstacle(capsys):
+    assert not announce("a", lambda: sys.exit(1)) and "stopped with SystemExit: 1" in capsys.readouterr().out
+    tensor = torch.ones(2, requires_grad=True)
+    assert check("b", lambda x: tensor * 1, lambda x: np.ones(2), [(1,)])
