@@ -378,6 +378,20 @@ def test_of_many_who_take_over_a_lock_one_holds_it_at_a_time(tmp_path, monkeypat
     assert within == ["in", "out"] * 16 and not list(tmp_path.iterdir())
 
 
+def test_a_stale_lock_is_looked_at_again_when_ones_turn_comes(tmp_path):
+    lock, turn = tmp_path / ".card.json.lock", tmp_path / ".card.json.lock.old"
+    lock.write_text("made by another in between")
+    files._remove_left_behind(lock)
+    assert lock.exists()
+    os.utime(lock, (1, 1))
+    turn.touch()  # another is at it
+    files._remove_left_behind(lock)
+    assert lock.exists()
+    turn.unlink()
+    files._remove_left_behind(lock)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_lock_that_another_took_over_is_left_to_it(tmp_path):
     target, lock = tmp_path / "card.json", tmp_path / ".card.json.lock"
     with files.locked(target):
