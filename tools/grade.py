@@ -249,18 +249,19 @@ def grade(path: Path, folder: Path, tasks: dict[str, list[Task]], options: argpa
         name = notebook_of(submission, path, list(tasks))
         if name is None:
             return [Row(file, "", "", "", "unknown notebook", "neither its metadata nor its name says which one it is")]
-        rows = _run_and_read(file, name, submission, tasks[name], options, options.whole)
-        if not options.whole and needs_all_cells(rows, submission, tasks[name]):
+        whole = options.whole or answers_above(submission, tasks[name])
+        rows = _run_and_read(file, name, submission, tasks[name], options, whole)
+        if not whole and any("NameError" in row.reason for row in rows):
             rows = _run_and_read(file, name, submission, tasks[name], options, True)
     except Exception as error:  # whatever was handed in, the others are graded
         return [Row(file, "", "", "", "unreadable", f"{type(error).__name__}: {error}".splitlines()[0])]
     return rows
 
 
-def needs_all_cells(rows: list[Row], submission: nbformat.NotebookNode, tasks: list[Task]) -> bool:
-    """Return whether something stands above the exercises that they need: a name, or an answer itself."""
-    above = len(with_our_checkers(submission, tasks, True)[1]) < len(with_our_checkers(submission, tasks, False)[1])
-    return above or any("NameError" in row.reason for row in rows)
+def answers_above(submission: nbformat.NotebookNode, tasks: list[Task]) -> bool:
+    """Return whether an answer stands above the heading of the exercises, or there is no such heading."""
+    missing = {whole: with_our_checkers(submission, tasks, whole)[1] for whole in (False, True)}
+    return len(missing[True]) < len(missing[False])
 
 
 def _run_and_read(file, name, submission, tasks, options, whole) -> list[Row]:
