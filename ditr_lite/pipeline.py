@@ -239,11 +239,14 @@ class Ditr:
     ) -> Claim:
         """Return what stage one says of a frame, at the working size; arguments as for :meth:`find_region`."""
         frame, classes = self.classify(rgb, depth)
-        probability = 1 - classes[0]
-        claimed = probability > (self.config.refine.threshold if threshold is None else threshold)
+        claimed = 1 - classes[0] > (self.config.refine.threshold if threshold is None else threshold)
+        return self.claim_of(frame, classes, claimed, refine)
+
+    def claim_of(self, frame: Frame, classes: np.ndarray, claimed: np.ndarray, refine: RefineConfig | None) -> Claim:
+        """Return the claim that follows from (classes, h, w) probabilities and from what is claimed, (h, w) bool."""
         likelier = np.where(claimed, 1 + classes[1:].argmax(axis=0), 0).astype(np.uint8)
         region = self.refine(claimed & frame.picture, refine)  # the padding is no glass, and none grows out of it
-        return Claim(frame, probability, likelier, region)
+        return Claim(frame, 1 - classes[0], likelier, region)
 
     @torch.no_grad()
     def classify(self, rgb: np.ndarray, depth: np.ndarray) -> tuple[Frame, np.ndarray]:

@@ -7,7 +7,7 @@ import argparse
 import json
 from pathlib import Path
 
-from ditr_lite.evaluation.results import is_current
+from ditr_lite.evaluation.results import is_current, outdated
 from ditr_lite.evaluation.statistics import format_interval
 from ditr_lite.store import read_card
 from ditr_lite.studies import denoisers, peer_tables
@@ -253,8 +253,7 @@ def variants(result: dict) -> str:
 
 def earlier(result: dict) -> str:
     """Return a sentence that names the parts of which results were made with earlier weights; empty without any."""
-    parts = read_card()["parts"]
-    old = [name for name, checksum in result["weights_sha256"].items() if parts[name]["sha256"] != checksum]
+    old = outdated(result)
     return f" Made with earlier weights of {' and '.join(old)}." if old else ""
 
 

@@ -111,8 +111,7 @@ class Steady:
             made = now > min(threshold + BAND, 0.99)
             claimed = np.where(still, np.where(self.claimed, ~dropped, made), claimed)
         self.claimed = claimed
-        likelier = np.where(claimed, 1 + self.classes[1:].argmax(axis=0), 0).astype(np.uint8)
-        return Claim(frame, now, likelier, self.ditr.refine(claimed & frame.picture, refine))
+        return self.ditr.claim_of(frame, self.classes, claimed, refine)
 
 
 def _gain(before: np.ndarray, colour: np.ndarray) -> float:

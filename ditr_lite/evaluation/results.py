@@ -91,5 +91,10 @@ def provenance(report: Mapping[str, Any]) -> str:
 
 def is_current(report: Mapping[str, Any], weights: Path | str | None = None) -> bool:
     """Return whether results were made with these weights, by the checksums of the parts that they name."""
+    return not outdated(report, weights)
+
+
+def outdated(report: Mapping[str, Any], weights: Path | str | None = None) -> list[str]:
+    """Return the parts that results name and that are other ones in these weights, by their checksums."""
     there = {name: part["sha256"] for name, part in read_card(weights)["parts"].items()}
-    return all(there.get(name) == checksum for name, checksum in report["weights_sha256"].items())
+    return [name for name, checksum in report["weights_sha256"].items() if there.get(name) != checksum]

@@ -172,11 +172,14 @@ def compare_over_seeds(
         raise ValueError(f"expected at least one seed, and exactly one where out is given; got {list(seeds)}")
     runs = []
     for seed in seeds:
-        homes = {"folder": folder, "work": work}
-        if seed != seeds[0]:
-            homes = {name: home and Path(home) / f"seed_{seed}" for name, home in homes.items()}
+        homes = {"folder": home_of(folder, seed, seeds), "work": work and home_of(work, seed, seeds)}
         runs.append(compare_settings(settings, seed=seed, **homes, **how))
     return {"seeds": list(seeds), "runs": runs, "difference": {key: _over_seeds(runs, key) for key in SCORED}}
+
+
+def home_of(folder: Path | str, seed: int, seeds: Sequence[int]) -> Path | str:
+    """Return where a seed's arms go: those of the first seed into ``folder``, those of another to ``seed_N`` in it."""
+    return folder if seed == seeds[0] else Path(folder) / f"seed_{seed}"
 
 
 def _over_seeds(runs: Sequence[Mapping[str, Any]], key: str) -> dict[str, Any] | None:

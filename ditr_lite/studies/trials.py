@@ -18,7 +18,7 @@ from ..evaluation.costs import costs
 from ..evaluation.results import read
 from ..evaluation.statistics import SeedComparison, compare_seeds, format_interval, mean_known, paired_bootstrap
 from ..store import WEIGHTS, read_card
-from .experiment import compare_settings
+from .experiment import compare_settings, home_of
 
 DEFAULT = "the default"
 MANY = {"unet.anchor": "false", "sampler.steps": "10"}  # noise cannot be told from pure noise in a single step
@@ -107,7 +107,7 @@ def try_settings(
     """
     rows: dict[str, Row] = {name: _row(chosen) for name, chosen in {DEFAULT: {}, **settings}.items()}
     for seed in seeds:
-        home = Path(folder) if seed == seeds[0] else Path(folder) / f"seed_{seed}"
+        home = home_of(folder, seed, seeds)
         for name, chosen in settings.items():
             result = compare_settings(chosen, seed=seed, folder=home, **how)
             for row, arm in ((DEFAULT, "default"), (name, "changed")):

@@ -54,7 +54,8 @@ def split_held_out(scenes: Scenes) -> tuple[Scenes, Scenes]:
     count = len(scenes)
     if count < LEAST:
         raise ValueError(f"fine-tuning needs at least {LEAST} held-out frames, got {count}: give more with --val")
-    return every(scenes, range(0, count, 3)), every(scenes, [i for i in range(count) if i % 3])
+    (judges,), (chooses,) = hold_out([scenes])
+    return chooses, judges
 
 
 def hold_out(groups: Sequence[Scenes]) -> tuple[list[Scenes], list[Scenes]]:

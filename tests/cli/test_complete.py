@@ -185,6 +185,8 @@ def test_folders_that_cannot_be_completed(folders, weights, tmp_path, capsys, ch
 class Flickering:
     """A system whose claims and paintings flicker by themselves, as noise makes a real one."""
 
+    claim_of = pipeline.Ditr.claim_of
+
     def __init__(self, ditr):
         self.ditr, self.config, self.rng = ditr, ditr.config, np.random.default_rng(0)
 
