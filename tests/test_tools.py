@@ -255,6 +255,27 @@ def test_the_peers_go_into_the_readme(monkeypatch):
     assert text.count("+DP after BB, optical, per training seed") == 2 and "1 without" in text
 
 
+def test_the_readme_begins_with_one_table_of_all_kinds_of_frames():
+    rmse = {"ditr": 0.02, "raw": 0.05, "harmonic": 0.03, "keep_and_fill": 0.021, "keep_and_fill_debiased": 0.04}
+    away, same = [-0.01, -0.02, -0.005], [-0.001, -0.002, 0.001]
+    report = {
+        "images": 7,
+        "methods": {name: {key: {"rmse": m} for key in readme_results.IN_BRIEF} for name, m in rmse.items()},
+        "differences": {n: {"optical": away, "geometric": same} for n in rmse if n != "ditr"},
+        "stage_one": {"miss_rate": [0.12, 0.09, 0.15]},
+    }
+    split = {"summary": report}
+    errors = {name: {"optical": m, "geometric": None} for name, m in rmse.items()}
+    frames = {"a": {"rmse_m": errors, "claimed": 0.1}, "b (no glass)": {"rmse_m": None, "claimed": 0.036}}
+    text = readme_results.brief({"Table tops": split}, frames)
+    assert "| `ditr`: this repository | 20.0 | 20.0 | 20.0 | – |" in text  # DITR is compared with the others only
+    assert "| `raw`: the sensor; holes take the nearest reading | 50.0 | 50.0 = | 50.0 | – |" in text
+    assert "7 table tops, 1 real frames" in text and "12 [9, 15] % (table tops)" in text
+    assert "Of 1 real frames without glass it claims 3.6 to 3.6 %" in text
+    alone = readme_results.brief({"Table tops": split}, {})
+    assert "real" not in alone.replace("real frames are left unmarked", "")
+
+
 def test_long_sections_are_folded_under_their_first_paragraph():
     text = readme_results.folded("**What.** Why.\n\n| a |\n|---|\n\nCommand.", "Table")
     assert text.startswith("**What.** Why.\n\n<details><summary>Table</summary>\n\n| a |")

@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 
 from ditr_lite.evaluation.results import is_current, outdated
-from ditr_lite.evaluation.statistics import format_interval
+from ditr_lite.evaluation.statistics import format_interval, mean_known
 from ditr_lite.store import read_card
 from ditr_lite.studies import denoisers, peer_tables
 
@@ -18,6 +18,59 @@ OWN_FRAMES = (
     "are not in the repository"
 )
 SETS = ("optical", "optical_valid", "geometric", "outside", "whole")
+COMPARED = {  # method -> what it does, in the table at the head
+    "ditr": "this repository",
+    "raw": "the sensor; holes take the nearest reading",
+    "harmonic": "a smooth membrane over holes and region",
+    "keep_and_fill": "readings kept inside the region, too; holes filled smoothly",
+    "keep_and_fill_debiased": "the same, readings inside moved by their mean error in training scenes",
+}
+IN_BRIEF = ("optical", "geometric")
+KEPT = ("rooms", "real", "denoiser", "bench", "robustness", "soak")  # results_*.json that have a paragraph
+
+
+def brief(splits: dict[str, dict], frames: dict[str, dict]) -> str:
+    """Return the table at the head: RMSE in the region and in the holes, on every kind of frame there is.
+
+    Args:
+        splits: title -> result of ``evaluate --json``.
+        frames: name -> what ``tools/real_frames.py`` says of it.
+    """
+    scored = [row["rmse_m"] for row in frames.values() if row["rmse_m"]]
+    reports = {title: result["summary"] for title, result in splits.items()}
+    counts = {title.lower(): report["images"] for title, report in reports.items()}
+    if scored:
+        counts["real frames"] = len(scored)
+    heads = [f"{title}, {key}" for title in counts for key in IN_BRIEF]
+    lines = ["| RMSE, mm | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
+    for name, says in COMPARED.items():
+        cells = [brief_cell(report, name, key) for report in reports.values() for key in IN_BRIEF]
+        if scored:
+            means = [mean_known([row[name][key] for row in scored]) for key in IN_BRIEF]
+            cells += ["–" if mean is None else f"{1000 * mean:.1f}" for mean in means]
+        lines.append(f"| `{name}`: {says} | " + " | ".join(cells) + " |")
+    missed = [
+        f"{format_interval(report['stage_one']['miss_rate'], 100, '.0f')} % ({title.lower()})"
+        for title, report in reports.items()
+    ]
+    lines += [
+        "",
+        f"Means over frames that nothing was trained on: {', '.join(f'{n} {title}' for title, n in counts.items())}. "
+        "*optical*: inside glass and metal; *geometric*: holes elsewhere. All methods get the region that stage one "
+        f"finds; of the true one it misses {' and '.join(missed)}. = marks what is not measurably different from DITR: "
+        "the 95 % interval of the paired difference holds 0 (so few real frames are left unmarked).",
+    ]
+    without = [row["claimed"] for name, row in frames.items() if "no glass" in name]
+    if without:
+        low, high = (f"{100 * share:.1f}" for share in (min(without), max(without)))
+        lines[-1] += f" Of {len(without)} real frames without glass it claims {low} to {high} % of the picture."
+    return "\n".join(lines)
+
+
+def brief_cell(report: dict, name: str, key: str) -> str:
+    """Return one RMSE of :func:`brief` in millimetres, marked where DITR's is not measurably another."""
+    _, low, high = report["differences"].get(name, {}).get(key) or (None, 1, 1)
+    return f"{1000 * report['methods'][name][key]['rmse']:.1f}" + " =" * (low <= 0 <= high)
 
 
 def section(result: dict, title: str, file: str) -> str:
@@ -263,6 +316,11 @@ def folded(text: str, summary: str) -> str:
     return f"{first}\n\n<details><summary>{summary}</summary>\n\n{rest}\n\n</details>"
 
 
+def read(path: Path) -> dict | None:
+    """Return what a results file holds; None where there is none."""
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+
+
 def main() -> None:
     """Rewrite the README in place."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -272,30 +330,27 @@ def main() -> None:
     text = args.readme.read_text(encoding="utf-8")
     before, rest = text.split(START)
     after = rest.split(END)[1]
-    made = section(json.loads(args.json.read_text(encoding="utf-8")), "Table tops (split test)", args.json.name)
-    rooms = args.json.with_name("results_rooms.json")
-    if rooms.is_file():
-        made += "\n\n" + section(json.loads(rooms.read_text(encoding="utf-8")), "Rooms (split rooms)", rooms.name)
-    frames = args.json.with_name("results_real.json")
-    if frames.is_file():
-        made += "\n\n" + real(json.loads(frames.read_text(encoding="utf-8")))
+    kept = {name: read(args.json.with_name(f"results_{name}.json")) for name in KEPT}
+    tables = {"Table tops (split test)": (read(args.json), args.json.name)}
+    if kept["rooms"]:
+        tables["Rooms (split rooms)"] = kept["rooms"], "results_rooms.json"
+    frames = kept["real"]["frames"] if kept["real"] else {}
+    made = [brief({title.split(" (")[0]: result for title, (result, _) in tables.items()}, frames)]
+    for title, (result, file) in tables.items():
+        made.append(folded(section(result, title, file), "All methods and pixels"))
+    if kept["real"]:
+        made.append(folded(real(kept["real"]), "All frames"))
     if peer_tables.RESULTS.is_file():
-        made += "\n\n" + folded(peers(peer_tables.load_results()), "Tables of the peers, and oracles")
-    kinds = args.json.with_name("results_denoiser.json")
-    if kinds.is_file():
-        made += "\n\n" + folded(variants(json.loads(kinds.read_text(encoding="utf-8"))), "Table of the variants")
-    bench = args.json.with_name("results_bench.json")
-    if bench.is_file():
-        made += "\n\n" + costs(json.loads(bench.read_text(encoding="utf-8")))
-    robust = args.json.with_name("results_robustness.json")
-    if robust.is_file():
-        found = json.loads(robust.read_text(encoding="utf-8"))
-        if found.get("disturbances"):
-            made += "\n\n" + disturbances(found)
-    soaked = args.json.with_name("results_soak.json")
-    if soaked.is_file():
-        made += "\n\n" + folded(soak(json.loads(soaked.read_text(encoding="utf-8"))), "Table of the checks")
-    made += "\n\n" + training(read_card())
+        made.append(folded(peers(peer_tables.load_results()), "Tables of the peers, and oracles"))
+    if kept["denoiser"]:
+        made.append(folded(variants(kept["denoiser"]), "Table of the variants"))
+    if kept["bench"]:
+        made.append(costs(kept["bench"]))
+    if kept["robustness"] and kept["robustness"].get("disturbances"):
+        made.append(folded(disturbances(kept["robustness"]), "Both splits"))
+    if kept["soak"]:
+        made.append(folded(soak(kept["soak"]), "Table of the checks"))
+    made = "\n\n".join([*made, training(read_card())])
     args.readme.write_text(f"{before}{START}\n{made}\n{END}{after}", encoding="utf-8")
 
 
