@@ -209,6 +209,13 @@ def test_the_disturbance_table_goes_into_the_readme():
     assert "| a | 7 | 2 | 1 |" in readme_results.training(card) and "encoder" not in readme_results.training(card)
 
 
+def test_the_readme_compares_the_sensor_on_the_same_pixels_only():
+    row = {"optical": [-0.02, -0.03, -0.01], "optical_valid": [-0.03, -0.04, -0.02]}
+    *_, raw, sensor = readme_results.minus({"raw": row, "sensor": row}, tuple(row))
+    assert raw == "| raw | -20.0 [-30.0, -10.0] | -30.0 [-40.0, -20.0] |"
+    assert sensor == "| sensor | – | -30.0 [-40.0, -20.0] |"
+
+
 FRAMES = """
 from ditr_lite import load_sample
 

@@ -8,6 +8,7 @@ import json
 from pathlib import Path
 
 from ditr_lite.evaluation.results import is_current, outdated
+from ditr_lite.evaluation.scoring import on_the_same_pixels
 from ditr_lite.evaluation.statistics import format_interval, mean_known
 from ditr_lite.store import read_card
 from ditr_lite.studies import denoisers, peer_tables
@@ -127,7 +128,8 @@ def minus(differences: dict, sets: tuple[str, ...]) -> list[str]:
     """Return the lines of a Markdown table of differences in millimetres with intervals, baseline x pixel set."""
     lines = ["| baseline | " + " | ".join(sets) + " |", "|---|" + "---:|" * len(sets)]
     for name, row in differences.items():
-        lines.append(f"| {name} | " + " | ".join(format_interval(row[k], 1000, missing="–") for k in sets) + " |")
+        same = {k: row[k] if on_the_same_pixels(name, k) else None for k in sets}
+        lines.append(f"| {name} | " + " | ".join(format_interval(same[k], 1000, missing="–") for k in sets) + " |")
     return lines
 
 

@@ -141,8 +141,9 @@ def summary(results: Sequence[Result], protocol: Protocol | None = None) -> dict
     Returns:
         ``images``; ``methods``: name -> ``metrics.average``, None where all frames were refused; ``differences``:
         baseline -> set -> [mean, low, high] of DITR's RMSE minus the baseline's in metres, 95 %, paired over images,
-        None without common images; ``stage_one``: name -> [mean, low, high]; ``kept``: whether all frames passed;
-        ``refused``: method -> reason -> frames; ``protocol``: name -> average, when there is one.
+        None without common images or where :func:`on_the_same_pixels` says no; ``stage_one``: name -> [mean, low,
+        high]; ``kept``: whether all frames passed; ``refused``: method -> reason -> frames; ``protocol``: name ->
+        average, when there is one.
 
     Raises:
         ValueError: for no results.
@@ -235,10 +236,16 @@ def _averages(results: Sequence[Result], key: str, average: Callable[[list], dic
     return averages
 
 
+def on_the_same_pixels(name: str, key: str) -> bool:
+    """Return whether a method and DITR are scored on the same pixels of a set: the sensor only on its readings."""
+    return name != SENSOR or key == "optical_valid"
+
+
 def _differences(results: Sequence[Result], name: str) -> dict[str, list[float] | None]:
-    found = {}
+    found = dict.fromkeys(COMPARED)
     for key in COMPARED:
-        found[key] = interval(paired_bootstrap, _rmse(results, DITR, key), _rmse(results, name, key))
+        if on_the_same_pixels(name, key):
+            found[key] = interval(paired_bootstrap, _rmse(results, DITR, key), _rmse(results, name, key))
     return found
 
 

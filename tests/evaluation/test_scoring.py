@@ -186,6 +186,13 @@ def test_summary_averages_images_and_pairs_differences():
     assert report["stage_one"]["iou"][0] == pytest.approx(20 / 22)
 
 
+def test_the_sensor_is_compared_where_it_read_something_only():
+    report = summary(run_methods([make_sample()], FakeDitr(), {}, progress=False))
+    minus = report["differences"]["sensor"]
+    assert minus["optical_valid"][0] == pytest.approx(0.01 - 0.03, abs=1e-6)
+    assert minus["optical"] is minus["geometric"] is None  # there DITR is scored on other pixels, too
+
+
 def test_cleargrasp_protocol_cleans_the_input_and_scores_the_region_at_its_size():
     sample, ditr = make_sample(), FakeDitr()
     (result,) = run_methods([sample], ditr, {}, progress=False, protocol=CLEARGRASP)
