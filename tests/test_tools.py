@@ -22,6 +22,7 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_outp
 from ditr_lite import store
 from ditr_lite.config import RefineConfig, StdConfig, preset
 from ditr_lite.data import list_samples, load_sample
+from ditr_lite.evaluation.statistics import paired_bootstrap
 from ditr_lite.pipeline import Ditr, build
 from ditr_lite.store import save_part
 from ditr_lite.studies import denoisers, peer_tables
@@ -214,6 +215,17 @@ def test_the_readme_compares_the_sensor_on_the_same_pixels_only():
     *_, raw, sensor = readme_results.minus({"raw": row, "sensor": row}, tuple(row))
     assert raw == "| raw | -20.0 [-30.0, -10.0] | -30.0 [-40.0, -20.0] |"
     assert sensor == "| sensor | – | -30.0 [-40.0, -20.0] |"
+
+
+def test_the_range_of_three_real_frames_is_not_called_an_interval():
+    errors = {"ditr": [0.010, 0.030, 0.020], "raw": [0.030, 0.031, 0.030]}
+    frames = {f: {"rmse_m": {m: dict.fromkeys(readme_results.SETS, e[f]) for m, e in errors.items()}} for f in range(3)}
+    given = {"claimed": 0.1, "missed": 0.1, "area": 1.0, "moved": 0.0}
+    pairs = {"raw": {k: paired_bootstrap(errors["ditr"], errors["raw"]) for k in readme_results.SETS}}
+    frames = {f"frame {f}": {**row, **given} for f, row in frames.items()}
+    text = readme_results.real({"command": "python x", "frames": frames, "differences": pairs})
+    assert "| raw | -10.3 [-20.0, -1.0] |" in text and "smallest and the largest" in text and "95 %" not in text
+    assert "95 %" in readme_results.spread_over(4)
 
 
 FRAMES = """

@@ -151,7 +151,7 @@ def real(result: dict) -> str:
             lines.append(f"| {frame} | {name} | " + " | ".join(cells) + " |")
     lines += [
         "",
-        "DITR minus baseline, RMSE in millimetres, mean and 95 % interval of a bootstrap paired over these frames:",
+        f"DITR minus baseline, RMSE in millimetres, {spread_over(len(scored))}:",
         "",
         *minus(result["differences"], SETS),
         "",
@@ -168,6 +168,13 @@ def real(result: dict) -> str:
         name = frame.replace("no glass", "without glass")
         lines.append(f"| {name} | {100 * row['claimed']:.1f} | {missed} | {area} | {100 * row['moved']:.1f} |")
     return "\n".join([*lines, "", f"Command: `{result['command']}`{OWN_FRAMES}."])
+
+
+def spread_over(frames: int) -> str:
+    """Say what stands in brackets: of three frames or fewer, resampling gives back their range and no 95 % interval."""
+    if frames > 3:  # a resample is the smallest frame alone with a chance of 4**-4, below 2.5 %; of three, of 3**-3
+        return "mean and 95 % interval of a bootstrap paired over these frames"
+    return "mean and, in brackets, the smallest and the largest of these frames, which are too few for an interval"
 
 
 def peers(result: dict) -> str:
@@ -245,7 +252,8 @@ def disturbances(result: dict) -> str:
     """Return the table of what disturbances cost, a split after the other."""
     lines = [
         "**What disturbances cost**: optical RMSE of the disturbed over that of the undisturbed frame, on the same "
-        "pixels (sparse readings: over linear interpolation between them), mean and 95 % interval, paired over scenes.",
+        "pixels (sparse readings: over linear interpolation between them), ratio of the means and 95 % interval, "
+        "paired over scenes.",
     ]
     for split, part in result["disturbances"].items():
         lines += ["", f"| {split}, {len(part['frames'])} scenes | region found | region given |", "|---|---:|---:|"]

@@ -146,6 +146,17 @@ def test_images_without_a_value_are_left_out_of_a_correlation():
         statistics.spearman_bootstrap([1, 2], [1, 2, 3])
 
 
+@pytest.mark.parametrize(("scenes", "least", "most"), [(3, 0.65, 0.8), (8, 0.8, 0.93), (100, 0.91, 0.98)])
+def test_an_interval_of_few_scenes_holds_the_true_mean_less_often_than_its_name_says(scenes, least, most):
+    draws = np.random.default_rng(0).normal(size=(300, scenes))
+    intervals = [statistics.bootstrap_mean(list(values), n=400) for values in draws]
+    assert least < np.mean([low <= 0 <= high for _, low, high in intervals]) < most
+
+
+def test_of_three_scenes_the_interval_is_their_range():
+    assert statistics.bootstrap_mean([1.0, 2.0, 6.0]) == (3.0, 1.0, 6.0)
+
+
 def test_one_image_has_an_interval_without_width():
     assert statistics.bootstrap_mean([0.5, None]) == (0.5, 0.5, 0.5)
     assert statistics.ratio_bootstrap([1.0], [2.0]) == (0.5, 0.5, 0.5)
