@@ -129,21 +129,23 @@ def bootstrap_mean(values: Sequence[float | None], n: int = 2000, seed: int = 0)
 
 
 def paired_bootstrap(
-    a: Sequence[float | None], b: Sequence[float | None], n: int = 2000, seed: int = 0
+    a: Sequence[float | None], b: Sequence[float | None], n: int = 2000, seed: int = 0, among: int = 1
 ) -> tuple[float, float, float]:
     """Return (mean of a - b, low, high), 95 %, resampling images and keeping each image's two scores together.
 
     Args:
         a: one score per image of the first method; None leaves the image out for both.
         b: the same images' scores of the second method.
-        n: resamples.
+        n: resamples, for each of the comparisons.
         seed: of the resampling.
+        among: comparisons that are looked at together, or of which one was picked by its result: 95 % are then those
+            of all intervals together (Bonferroni), and each is wider.
 
     Raises:
         ValueError: for lists of different length or without a common image.
     """
     first, second = _common(a, b)
-    return bootstrap_mean(first - second, n, seed)
+    return _bootstrap((_finite(first - second, n),), np.mean, n * among, seed, among=among)
 
 
 def ratio_bootstrap(
@@ -248,9 +250,9 @@ def _common(a: Sequence[float | None], b: Sequence[float | None]) -> tuple[np.nd
 
 
 def _bootstrap(
-    data: tuple[np.ndarray, ...], statistic: Callable, n: int, seed: int, paired: bool = True
+    data: tuple[np.ndarray, ...], statistic: Callable, n: int, seed: int, paired: bool = True, among: int = 1
 ) -> tuple[float, float, float]:
-    """Return (statistic, low, high): the percentiles 2.5 and 97.5 over resamples, those without a value left out."""
+    """Return (statistic, low, high), with 2.5 % / ``among`` of the resamples (that have a value) on either side."""
     found = float(statistic(*data, axis=0))
     if min(len(column) for column in data) < 2:  # nothing to resample
         return found, found, found
@@ -259,5 +261,5 @@ def _bootstrap(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)
         drawn = stats.bootstrap(data, statistic, rng=np.random.default_rng(seed), **how).bootstrap_distribution
-    low, high = np.nanpercentile(drawn, [2.5, 97.5])
+    low, high = np.nanpercentile(drawn, [2.5 / among, 100 - 2.5 / among])
     return found, float(low), float(high)
