@@ -41,6 +41,16 @@ def test_the_simulator_makes_all_shipped_scenes_again():
     assert {split: (count, infrared) for split, count, infrared in MADE} == held
 
 
+def test_only_rooms_have_sensors_of_their_own_in_each_split():
+    def sensors(*names):  # as the README says of the table tops
+        return [(scene.camera, scene.stereo.baseline_m, scene.meta["matcher"]) for scene in map(load_sample, names)]
+
+    first, *others = sensors("train_00000", "val_00000", "test_00000")
+    assert others == [first, first]
+    one, other = sensors("rooms_val_00000", "rooms_00000")
+    assert all(a != b for a, b in zip(one, other, strict=True))
+
+
 def test_seeds_are_counted_from_the_first():
     scenes = [tool.Sample("s", None, None, meta={"seed": seed}) for seed in (5000, 5001, 5003)]
     assert tool.seeds(scenes) == "5000 to 5003 without 5002"

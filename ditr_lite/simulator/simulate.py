@@ -46,6 +46,9 @@ LEFTOVER_S = 3600.0  # age from which a half-written scene is a leftover
 def simulate(seed: int, split: str = "train", keep_infrared: bool = False, preset: str | None = None) -> Sample:
     """Render one scene and measure it with a random active-stereo sensor, or with one of four known ones.
 
+    The random sensor of a table top (cameras, baseline, matcher, noise, dropouts) follows from the seed alone: train,
+    val and test have the same one at the same seed. In rooms it differs.
+
     Args:
         seed: scene seed; the same seed, split and machine give the same bytes.
         split: table tops: ``train``, ``val``, or ``test``, which alone has held-out shapes and materials;
@@ -59,7 +62,7 @@ def simulate(seed: int, split: str = "train", keep_infrared: bool = False, prese
     if split in ROOM_SPLITS:
         return _simulate_room(seed, split, keep_infrared, preset)
     scene = random_scene(seed, split)
-    rng = np.random.default_rng([seed, 7])
+    rng = np.random.default_rng([seed, 7])  # of every split alike, which the shipped scenes depend on
     kind = None if preset is None else sensors.camera_preset(preset)
     camera, stereo = _rig(rng) if kind is None else sensors.rig(kind, SIZE)
     visible = build_scene(scene)
