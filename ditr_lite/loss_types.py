@@ -101,7 +101,7 @@ def label(depth: np.ndarray, depth_gt: np.ndarray, region: np.ndarray) -> np.nda
 
     A reading is wrong when ``|depth - depth_gt| > max(WRONG_ABS_M, WRONG_REL * depth_gt)``.
 
-    Paper: Sec. III, Fig. 4 (it counts these kinds and does not give its threshold; ours is 10 mm or 2 %).
+    Paper: Sec. III, Fig. 4 (two causes, and that some readings are false; no threshold is given, ours is 10 mm or 2 %).
 
     Args:
         depth: (H, W) raw metres, 0 = missing.

@@ -5,7 +5,7 @@ Light needs longer through glass (n times as long for the same way), so what sta
 second surface came a longer way, so corners read too far. And little light back is no reading at all. Everything is
 computed from rendered truth; nothing is matched.
 
-Paper: Sec. V-F shows an L515 frame; the model is ours.
+Paper: Sec. V-F names the L515 and shows no frame of it; the model is ours.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """What would make the denoiser better: variants of the optical branch, each trained for the same processor time.
 
-Paper: Sec. IV-C ("Denoising Step") and Eq. 8 to 10 fix what is predicted and where conditions enter; this asks what
+Paper: Sec. IV-C ("Denoising Step") and Eq. 8 and 9 fix what is predicted and where conditions enter; this asks what
 other choices are worth. One thing is changed at a time. All variants see the same scenes and the same autoencoder.
 """
 

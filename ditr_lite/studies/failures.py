@@ -1,7 +1,7 @@
 """When does it fail? Every frame described by what is known of its scene, and the errors ranked against that.
 
-Paper: Sec. V-G and Fig. 13 show failures on "very large" and on overlapping objects, picked by hand. Picked frames show
-that such failures exist, not that they are more frequent there; a search over all frames can tell.
+Paper: Sec. V-G and Fig. 13 show failures on objects that are "too large" and on overlapping ones, picked by hand.
+Picked frames show that such failures exist, not that they are more frequent there; a search over all frames can tell.
 """
 
 from collections.abc import Mapping

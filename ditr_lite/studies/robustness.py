@@ -6,7 +6,7 @@ would have given it, truth included. Strengths that change nothing are among the
 Disturbances are single ones that a working system must take nearly without harm: each is scored on the pixels that the
 undisturbed frame shows as well, so that the ratio of the two errors says what it costs.
 
-Paper: Sec. V-F tests "other scenarios" by looking; here they are counted.
+Paper: Sec. V-F tests "other unsupervised scenarios" by looking; here they are counted.
 """
 
 from collections.abc import Callable, Mapping, Sequence
