@@ -49,6 +49,7 @@ def test_more_steps_are_compared_on_their_own_frames_and_members():
     gaps = study.against_one(rows, "1000", "optical")  # one frame, one member: 30 - 20 mm, whatever the other frame
     assert gaps["single"] == pytest.approx((0.01,) * 3) and gaps["mean"] == pytest.approx((0.01,) * 3)
     assert study.against_one(rows, "10", "geometric")["single"] is None
+    assert gaps["flying_mean"] is None and study.against_one(rows, "10", "optical")["flying_mean"] is not None
     lines = study.format_steps(rows).splitlines()
     assert "RMSE of a draw 40.0 mm, RMSE of their mean 38.0 mm" in lines[0] and lines[3].count("[+10.0, +10.0]") == 2
 
