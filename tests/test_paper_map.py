@@ -7,6 +7,8 @@ import paper_map
 import pytest
 from test_notebooks import READING_ORDER
 
+from ditr_lite.studies.peer_tables import IDEAS
+
 ROOT = Path(__file__).resolve().parents[1]
 ENTRIES = paper_map.entries()
 # What the paper has, counted in the paper and not taken from the map; N counts what we add to it.
@@ -23,6 +25,13 @@ def test_every_entry_is_what_it_says():
     assert [problem for entry in ENTRIES for problem in paper_map.problems(entry, ROOT)] == []
     for entry in ENTRIES:
         assert entry.paper and (entry.notebook in READING_ORDER or entry.status == "left out"), entry.id
+
+
+def test_the_stand_in_of_a_compared_system_is_the_one_that_the_tables_score():
+    systems = {name for says in IDEAS.values() for name in says.rstrip(")").rpartition("(")[2].split(", ")}
+    compared = [entry for entry in ENTRIES if entry.id.startswith("C")]
+    assert {entry.paper.split(";")[0] for entry in compared} == systems
+    assert {entry.notebook for entry in compared} == {"08_ablations"}  # where they are presented
 
 
 def test_the_page_is_the_current_one():

@@ -45,7 +45,7 @@ diffusion.eps_from_x0 | test_diffusion.py::test_eq9_as_printed_is_not_unit_noise
 ε_θ = L_t − α_t x_θ, which lacks a division
 
 I1 | done | 04_ddpm_math | 3 · Take one step back: the posterior
-diffusion.ddpm_step | test_diffusion.py::test_posterior_is_bayes_rule
+diffusion.posterior_mean_variance | test_diffusion.py::test_posterior_is_bayes_rule
 one step back, p_θ(D_{t−1} given D_t) = N(μ_θ, Σ_θ)
 
 I2 | done | 07_metrics | Which δ did the tables use?
@@ -105,11 +105,11 @@ paper.audit.audit_table | paper/test_audit.py::test_the_impossible_rows_of_table
 results on TODD
 
 T3 | done | 07_metrics | Which δ did the tables use?
-paper.audit.audit_table | paper/test_audit.py::test_the_worded_delta_is_refuted_by_three_rows_of_table_3
+paper.audit.below_rel_floor | paper/test_audit.py::test_the_worded_delta_is_refuted_by_three_rows_of_table_3
 results on STD
 
 T4 | done | 08_ablations | 2 · Climb the paper's ladder: BB, +DP, +RR
-studies.swaps.score_swaps | studies/test_swaps.py::test_regions_are_what_they_are_called
+studies.swaps.Swapped | studies/test_swaps.py::test_regions_are_what_they_are_called
 ablation: backbone, depth partition, region refinement
 
 T5 | done | 07_metrics | 7 · Audit the paper's tables
@@ -180,9 +180,9 @@ F13 | done | 08_ablations | The worst ten
 studies.failures.worst | studies/test_failures.py::test_the_worst_come_first
 failure cases
 
-C1 | done | 06_full_pipeline | 12 · Score it beside every baseline
-baselines.keep_and_fill | test_baselines.py::test_keeping_keeps_readings_inside
-DeepCompletion; the idea: trust every reading, solve for the smoothest surface in the holes
+C1 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.gradient_solve.solve | peers/test_gradient_solve.py::test_depth_does_not_run_over_an_edge
+DeepCompletion; the idea: predict orientation and edges, then solve for the depth that fits them and the readings
 
 C2 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
 peers.ideas.RgbOnly | peers/test_ideas.py::test_colour_alone_is_shown_no_depth
@@ -196,20 +196,20 @@ C4 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes f
 evaluation.protocols.fitted | peers/test_system.py::test_an_alignment_is_another_reading_of_the_same_weights
 MiDaS; the idea: depth from colour up to scale and shift
 
-C5 | done | 04_ddpm_math | Who asks whom?
-unet.CrossAttentionLatentQuery | test_unet.py::test_query_order_changes_the_result
-LDM; the idea: the latent asks, the condition answers
+C5 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.system.SingleSystem | peers/test_system.py::test_the_single_denoiser_is_told_of_no_region
+LDM; the idea: one latent denoiser for all, no region
 
-C6 | done | 06_full_pipeline | 12 · Score it beside every baseline
-baselines.harmonic | test_baselines.py::test_readings_inside_the_region_are_not_looked_at
-ClearGrasp; the idea: drop the readings inside the region, solve from what surrounds it
+C6 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
+peers.ideas.NormalsOptimisation | peers/test_ideas.py::test_every_idea_paints_metres_and_learns
+ClearGrasp; the idea: the same after the readings inside the region are dropped
 
 C7 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
 peers.ideas.ImplicitRays | peers/test_ideas.py::test_a_ray_begins_at_the_fill_and_ends_where_it_is_told
 LIDF; the idea: an implicit function along each ray
 
 C8 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
-peers.ideas.PointCompletion | peers/test_ideas.py::test_a_projected_cloud_is_its_depth_map_and_near_points_hide_far_ones
+peers.ideas.PointCompletion | peers/test_ideas.py::test_the_cloud_holds_readings_at_their_places
 TranspareNet; the idea: complete the distorted cloud, then the map
 
 C9 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
@@ -221,7 +221,7 @@ peers.ideas.Adversarial | peers/test_ideas.py::test_the_critic_is_held_while_it_
 DepthGrasp; the idea: let a critic tell completed depth from real
 
 C11 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
-peers.ideas.TwoStreamConfidence | peers/test_ideas.py::test_confidence_decides_between_prediction_and_sensor
+peers.ideas.blend | peers/test_ideas.py::test_confidence_decides_between_prediction_and_sensor
 SwinDRNet; the idea: fuse colour and depth by confidence
 
 N1 | done | 06_full_pipeline | Where we depart from the paper
