@@ -217,6 +217,16 @@ def test_the_readme_compares_the_sensor_on_the_same_pixels_only():
     assert sensor == "| sensor | – | -30.0 [-40.0, -20.0] |"
 
 
+def test_scenes_without_glass_are_told_apart_from_what_stage_one_finds():
+    found = {"a": {"iou": 0.6, "miss_rate": 0.1}, "b": {"iou": 0.6, "miss_rate": 0.2}}
+    bare = {"c": {"iou": 0.0, "miss_rate": None}, "d": {"iou": None, "miss_rate": None}}
+    summary = {"stage_one": {"iou": [0.4, 0.0, 0.6], "miss_rate": [0.15, 0.1, 0.2], "area_ratio": [1.0, 1.0, 1.0]}}
+    text = readme_results.stage_one({"summary": summary, "stage_one": found | bare})
+    assert "union 0.60 [0.60, 0.60] before refinement, in scenes with glass or metal; of the 2 without" in text
+    assert "claims something in 1. After it, 15 [10, 20] %" in text
+    assert "without" not in readme_results.stage_one({"summary": summary, "stage_one": found})
+
+
 def test_the_range_of_three_real_frames_is_not_called_an_interval():
     errors = {"ditr": [0.010, 0.030, 0.020], "raw": [0.030, 0.031, 0.030]}
     frames = {f: {"rmse_m": {m: dict.fromkeys(readme_results.SETS, e[f]) for m, e in errors.items()}} for f in range(3)}

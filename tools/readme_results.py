@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ditr_lite.evaluation.results import is_current, outdated
 from ditr_lite.evaluation.scoring import on_the_same_pixels
-from ditr_lite.evaluation.statistics import format_interval, mean_known
+from ditr_lite.evaluation.statistics import bootstrap_mean, format_interval, interval, mean_known
 from ditr_lite.store import read_card
 from ditr_lite.studies import denoisers, peer_tables
 
@@ -101,18 +101,32 @@ def section(result: dict, title: str, file: str) -> str:
         "",
         *minus(report["differences"], SETS[:3]),
     ]
-    one = report["stage_one"]
     lines += [
         "",
-        f"Stage one: intersection over union {format_interval(one['iou'], 1, '.2f')} before refinement. After it, "
-        f"{format_interval(one['miss_rate'], 100, '.0f')} % of the region is missed; the area is "
-        f"{format_interval(one['area_ratio'], 1, '.2f')} times that of the true mask refined alike.",
+        stage_one(result),
         "Readings outside the region come back " + ("bit for bit." if report["kept"] else "CHANGED, a defect."),
         "",
         f"Command: `{result['command']}`; the file with every scene's figures and the checksums of the weights is "
         f"`ditr_lite/weights/{file}`.",
     ]
     return "\n".join(lines)
+
+
+def stage_one(result: dict) -> str:
+    """Return what stage one finds; scenes without glass and metal apart, where an overlap is 0 or not defined.
+
+    Args:
+        result: of ``evaluate --json``.
+    """
+    one, frames = result["summary"]["stage_one"], result["stage_one"].values()
+    iou = interval(bootstrap_mean, [f["iou"] for f in frames if f["miss_rate"] is not None])
+    bare = [f["iou"] is not None for f in frames if f["miss_rate"] is None]  # whether it claims something there
+    apart = f", in scenes with glass or metal; of the {len(bare)} without it claims something in {sum(bare)}"
+    return (
+        f"Stage one: intersection over union {format_interval(iou, 1, '.2f')} before refinement{apart * bool(bare)}. "
+        f"After it, {format_interval(one['miss_rate'], 100, '.0f')} % of the region is missed; the area is "
+        f"{format_interval(one['area_ratio'], 1, '.2f')} times that of the true mask refined alike."
+    )
 
 
 def table(report: dict, sets: tuple[str, ...] = SETS) -> list[str]:
