@@ -90,6 +90,10 @@ def check_units(attempt: Function) -> bool:
         "the sign is lost: below the bounds n is negative": lambda d, a, b: np.where(
             abs(plain(d, a, b)) > 1, abs(right(d, a, b)), plain(d, a, b)
         ),
+        "a negative u has no logarithm: take that of |u|": lambda d, a, b: np.where(
+            plain(d, a, b) < -1, np.nan, right(d, a, b)
+        ),
+        "u is compressed on both sides, below -1 too": lambda d, a, b: np.minimum(plain(d, a, b), right(d, a, b)),
         "the 1 is missing, so the map jumps at the bounds": lambda d, a, b: compressed(plain(d, a, b), 0.0),
         "the sign is reversed: low becomes -1": lambda d, a, b: -right(d, a, b),
     }

@@ -102,6 +102,9 @@ def check_posterior(attempt: Function) -> bool:
         "the square root of abar_prev is missing": wrong(lambda a, p, u, w, v: (u * p**0.5, w, v)),
         "x0 is weighted with abar of t; the mean is at t - 1": wrong(lambda a, p, u, w, v: (u * (a / p) ** 0.5, w, v)),
         "the square root of alpha is missing": wrong(lambda a, p, u, w, v: (u, w * (a / p) ** 0.5, v)),
+        "the factor of x_t has alpha of one step, abar / abar_prev, not abar": wrong(
+            lambda a, p, u, w, v: (u, w * p**0.5, v)
+        ),
         "x0 and x_t are swapped": lambda x, y, a, p: right(y, x, a, p),
         "alpha_bar and alpha_bar_prev are swapped": wrong(lambda a, p, u, w, v: parts(p, a)),
         "beta is 1 - abar / abar_prev, not 1 - abar": wrong(
@@ -248,6 +251,9 @@ def check_attention(attempt: Function) -> bool:
         "divide by sqrt(d), not by d": lambda q, k, v: softmax(q @ k.T / q.shape[1]) @ v,
         "the softmax runs over the queries; each query's weights must sum to 1": lambda q, k, v: (
             softmax(q @ k.T / q.shape[1] ** 0.5, axis=0) @ v
+        ),
+        "the softmax runs over all weights at once; each query's weights must sum to 1: axis": lambda q, k, v: (
+            softmax(q @ k.T / q.shape[1] ** 0.5, axis=(0, 1)) @ v
         ),
         "the softmax is missing": lambda q, k, v: q @ k.T / q.shape[1] ** 0.5 @ v,
         "the division is by the number of keys, not by their width d": lambda q, k, v: (

@@ -81,6 +81,7 @@ def check_learning_rate(attempt: Function) -> bool:
         "the factors are multiplied, not added": lambda e, n, p, f: (
             p * ((1 + math.cos(math.pi * e / n)) / 2 + math.exp(-f * e / n)) / 2
         ),
+        "`fall` stands in the place of ln 10: use it in the exponent": lambda e, n, p, f: right(e, n, p, math.log(10)),
         "the exponential must fall: its sign": lambda e, n, p, f: right(e, n, p, -f),
         "the exponential falls over all epochs, not in every one: divide by epochs": lambda e, n, p, f: (
             right(e, n, p, 0) * math.exp(-f * e)
@@ -143,6 +144,9 @@ def check_fusion(attempt: Function) -> bool:
         "the sigmoid is missing: a gate lies between 0 and 1": gates(second, first, gate=lambda x: x),
         "the gates are swapped: w_rgb is applied to rgb": lambda r, d, w, v: right(r, d, v, w),
         "there are no gates: that is plain addition": lambda r, d, w, v: r + d,
+        "one gate and 1 minus it: each modality has a gate of its own": lambda r, d, w, v: (
+            r * _sigmoid(w @ d) + d * (1 - _sigmoid(w @ d))
+        ),
         "the two are added, not concatenated": gates(second, first, join=lambda a, b: np.concatenate([a, b])),
         "the weights are transposed: each output channel is a row": lambda r, d, w, v: right(
             r, d, w.T.copy(), v.T.copy()
@@ -187,8 +191,8 @@ def check_soft_refine(attempt: Function) -> bool:
     def right(p, steepness):
         return soft_region(torch.from_numpy(p)[None, None], RefineConfig(3, 3, 1), steepness)[0, 0].numpy()
 
-    def windows(x):
-        return np.lib.stride_tricks.sliding_window_view(np.pad(x, 1, "edge"), (3, 3))
+    def windows(x, border="edge"):
+        return np.lib.stride_tricks.sliding_window_view(np.pad(x, 1, border), (3, 3))
 
     def step(x, k, middle=0.5):
         return _sigmoid(k * (x - middle))
@@ -200,6 +204,12 @@ def check_soft_refine(attempt: Function) -> bool:
         ).max((2, 3)),
         "the vote is left out": lambda p, k: windows(step(p, k)).max((2, 3)),
         "the dilation is left out": lambda p, k: step(windows(step(p, k)).mean((2, 3)), k),
+        "borders are repeated: cv2.blur mirrors them unless told borderType=cv2.BORDER_REPLICATE": lambda p, k: windows(
+            step(windows(step(p, k), "reflect").mean((2, 3)), k)
+        ).max((2, 3)),
+        "borders are repeated: it is not 0 beyond them": lambda p, k: windows(
+            step(windows(step(p, k), "constant").mean((2, 3)), k)
+        ).max((2, 3)),
         "the dilation comes last; here it comes before the vote": lambda p, k: step(
             windows(windows(step(p, k)).max((2, 3))).mean((2, 3)), k
         ),

@@ -131,6 +131,10 @@ def linear(d, a, b):
     return (2 * d - a - b) / (b - a)
 
 
+def without_modulus(u):
+    return np.where(abs(u) > 1, np.sign(u) * (1 + np.log(u)), u)
+
+
 MISTAKES = [
     (checks.check_units, straight, "compressed once more"),
     (checks.check_units, lambda d, a, b: np.minimum(np.maximum(straight(d, a, b), -1), 1), "clipped"),
@@ -141,6 +145,8 @@ MISTAKES = [
     (checks.check_units, lambda d, a, b: np.where(d < a, -units(d, a, b), units(d, a, b)), "sign is lost"),
     (checks.check_units, lambda d, a, b: bend(straight(d, a, b), 0), "1 is missing"),
     (checks.check_units, lambda d, a, b: -units(d, a, b), "reversed"),
+    (checks.check_units, lambda d, a, b: without_modulus(straight(d, a, b)), "has no logarithm"),
+    (checks.check_units, lambda d, a, b: np.minimum(straight(d, a, b), units(d, a, b)), "on both sides"),
     (checks.check_conv_size, lambda n, k, s, p: (n + 2 * p - k) // s, "+ 1 is missing"),
     (checks.check_conv_size, lambda n, k, s, p: (n + p - k) // s + 1, "both sides"),
     (checks.check_conv_size, lambda n, k, s, p: (n + 2 * p) // s + 1, "subtract it"),

@@ -50,8 +50,16 @@ def owner(masks, sign=-1):
     return rank
 
 
+def as_they_come(masks):
+    return (masks * np.arange(1, len(masks) + 1)[:, None, None]).max(axis=0)
+
+
+def drawn(rank):
+    return np.any([rank > n for n in shifts(rank)], axis=0)
+
+
 def draw(masks):
-    return np.any([owner(masks) > n for n in shifts(owner(masks))], axis=0)
+    return drawn(owner(masks))
 
 
 def jumps(labels, depth, jump):
@@ -98,6 +106,7 @@ MISTAKES = [
     (checks.check_depth_aware, lambda a, b, t: near(b, t), "without asking"),
     (checks.check_scores, lambda a, b, t: scores(b, a, t), "swapped"),
     (checks.check_scores, lambda a, b, t: boundary.precision_recall_f(a, b, 0), "tolerance is not used"),
+    (checks.check_scores, lambda a, b, t: scores(a, b, 0), "tolerance is not used"),
     (checks.check_scores, lambda a, b, t: (*scores(a, b, t)[:2], sum(scores(a, b, t)[:2]) / 2), "harmonic mean"),
     (checks.check_scores, lambda a, b, t: np.array(scores(a, b, t)) * 100, "per cent"),
     (checks.check_suppress, lambda m, s, t: nms(m, -s, t), "falling score"),
@@ -120,6 +129,7 @@ MISTAKES = [
         lambda m: np.any([owner(m, 1) > n for n in shifts(owner(m, 1))], axis=0),
         "smaller one is in front",
     ),
+    (checks.check_mask_outlines, lambda m: drawn(as_they_come(m)), "order in which they come"),
     (checks.check_jumps, lambda a, d, j: jumps(a, d, j - 1e-9), "equal to the jump"),
     (checks.check_jumps, lambda a, d, j: outline(a), "whether depth jumps or not"),
     (checks.check_jumps, lambda a, d, j: jumps(a, d * 1000, j), "not in millimetres"),

@@ -122,6 +122,7 @@ MISTAKES = [
     (checks.check_posterior, posterior_from(lambda a, p: np.sqrt(p) * on_x0(a, p), on_x_t), "abar_prev is missing"),
     (checks.check_posterior, posterior_from(lambda a, p: np.sqrt(a / p) * on_x0(a, p), on_x_t), "abar of t"),
     (checks.check_posterior, posterior_from(on_x0, lambda a, p: a / p * (1 - p) / (1 - a)), "alpha is missing"),
+    (checks.check_posterior, posterior_from(on_x0, lambda a, p: np.sqrt(a) * (1 - p) / (1 - a)), "alpha of one step"),
     (checks.check_posterior, lambda x0, x_t, a, p: posterior(x_t, x0, a, p), "x0 and x_t are swapped"),
     (checks.check_posterior, lambda x0, x_t, a, p: posterior_swapped(x0, x_t, a, p), "alpha_bar_prev are swapped"),
     (
@@ -170,6 +171,7 @@ MISTAKES = [
     (checks.check_attention, lambda q, k, v: softmax(q @ k.T / np.sqrt(k.shape[1]), 0) @ v, "over the queries"),
     (checks.check_attention, lambda q, k, v: q @ k.T @ v / np.sqrt(k.shape[1]), "softmax is missing"),
     (checks.check_attention, lambda q, k, v: softmax(q @ k.T / np.sqrt(len(k)), 1) @ v, "number of keys"),
+    (checks.check_attention, lambda q, k, v: softmax(q @ k.T / np.sqrt(k.shape[1]), (0, 1)) @ v, "over all weights"),
     (checks.check_attention, lambda q, k, v: np.exp(q @ k.T / np.sqrt(k.shape[1])) @ v, "not normalised"),
     (checks.check_attention, lambda q, k, v: attention(q, k, k), "values differ"),
 ]

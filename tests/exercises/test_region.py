@@ -47,6 +47,11 @@ def soft_refine(p, k):
     return cv2.dilate(vote(sigmoid(k * (p - 0.5)), k), np.ones((3, 3)))
 
 
+def soft_with_border(p, k, border):
+    mean = cv2.blur(sigmoid(k * (p - 0.5)), (3, 3), borderType=border)
+    return cv2.dilate(sigmoid(k * (mean - 0.5)), np.ones((3, 3)))
+
+
 RIGHT = {
     checks.check_growth: growth,
     checks.check_miss_and_area: miss_and_area,
@@ -81,6 +86,7 @@ MISTAKES = [
         "multiplied, not added",
     ),
     (checks.check_learning_rate, lambda e, n, p, f: learning_rate(e, n, p, -f), "sign"),
+    (checks.check_learning_rate, lambda e, n, p, f: learning_rate(e, n, p, 0) * 10 ** (-e / n), "place of ln 10"),
     (checks.check_learning_rate, lambda e, n, p, f: learning_rate(e, n, p, f * n), "divide by epochs"),
     (
         checks.check_learning_rate,
@@ -101,6 +107,7 @@ MISTAKES = [
     (checks.check_fusion, lambda r, d, w, v: r * (w @ d) + d * (v @ r), "sigmoid is missing"),
     (checks.check_fusion, lambda r, d, w, v: fusion(r, d, v, w), "gates are swapped"),
     (checks.check_fusion, lambda r, d, w, v: r + d, "plain addition"),
+    (checks.check_fusion, lambda r, d, w, v: r * sigmoid(w @ d) + d * (1 - sigmoid(w @ d)), "a gate of its own"),
     (
         checks.check_fusion,
         lambda r, d, w, v: np.concatenate([r * sigmoid(w @ d), d * sigmoid(v @ r)]),
@@ -135,6 +142,8 @@ MISTAKES = [
         "minimum, which shrinks",
     ),
     (checks.check_soft_refine, lambda p, k: soft_refine(p, 1.0), "steepness is not used"),
+    (checks.check_soft_refine, lambda p, k: soft_with_border(p, k, cv2.BORDER_DEFAULT), "cv2.blur mirrors"),
+    (checks.check_soft_refine, lambda p, k: soft_with_border(p, k, cv2.BORDER_CONSTANT), "not 0 beyond"),
     (checks.check_soft_refine, lambda p, k: (soft_refine(p, 1e4) > 0.5) * 1.0, "no gradient"),
     (
         checks.check_soft_refine,
