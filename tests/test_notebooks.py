@@ -184,3 +184,28 @@ def test_the_core_on_one_page_and_the_symbols_are_named(path):
 def test_notebook_has_checked_cells(path):
     notebook = nbformat.read(path, as_version=4)
     assert any("nbval-check-output" in cell.metadata.get("tags", []) for cell in code_cells(notebook))
+
+
+# Changes that a notebook invites the reader to make: its own assertions must not stop them.
+INVITED = {
+    "beta is 0": (
+        "03_vq_autoencoder",
+        ("cell-002", "cell-012", "cell-022", "cell-023"),
+        {"(1, 0.25)": "(1, 0)", "(0.25, 1)": "(0, 1)"},
+    ),
+    "another share of goblets": (
+        "04_ddpm_math",
+        ("cell-002", "cell-006", "cell-008", "cell-009"),
+        {"[0.3, 0.7]": "[0.4, 0.6]"},
+    ),
+}
+
+
+@pytest.mark.parametrize(("stem", "cells", "changes"), INVITED.values(), ids=INVITED)
+def test_an_invited_change_runs(stem, cells, changes):
+    path = next(p for p in NOTEBOOKS if p.stem == stem)
+    source = "\n".join(c.source for c in nbformat.read(path, as_version=4).cells if c.id in cells)
+    for old, new in changes.items():
+        assert old in source
+        source = source.replace(old, new)
+    exec(source, {})
