@@ -15,6 +15,7 @@ _SEGMENTS = 64  # of a full turn
 PROJECTOR_DEG = 80.0  # field of view of the infrared projector
 SLIDE_POWER, SLIDE_AMBIENT = 2.0, 0.03  # of a projector that shows a given picture
 _FIRST = 4  # rays per pixel that tell the denoiser of the first surface
+_SEEDS = 2**32  # that Mitsuba tells apart; a larger seed draws other scenes with the noise of a smaller one
 _BLOCK = 32  # pixels a side that share a stream of random numbers; Mitsuba would choose by the number of threads
 
 
@@ -149,7 +150,7 @@ def render(loaded: Any, camera: Camera, pose: np.ndarray, samples: int, seed: in
     """
     mi = mitsuba()
     integrator = mi.load_dict({"type": "volpath", "max_depth": depth, "rr_depth": 3, "block_size": _BLOCK})
-    return np.array(mi.render(loaded, sensor=_sensor(camera, pose, samples), integrator=integrator, seed=seed))[..., :3]
+    return _traced(loaded, integrator, camera, pose, samples, seed)[..., :3]
 
 
 def render_clean(loaded: Any, camera: Camera, pose: np.ndarray, samples: int, seed: int, depth: int) -> np.ndarray:
@@ -166,7 +167,7 @@ def render_clean(loaded: Any, camera: Camera, pose: np.ndarray, samples: int, se
     # One after the other: both in one integrator take three times as long.
     colour = render(loaded, camera, pose, samples, seed, depth)
     integrator = mi.load_dict({"type": "aov", "aovs": "a:albedo,n:sh_normal", "block_size": _BLOCK})
-    first = np.array(mi.render(loaded, sensor=_sensor(camera, pose, _FIRST), integrator=integrator, seed=seed))
+    first = _traced(loaded, integrator, camera, pose, _FIRST, seed)
     albedo, normal = (np.ascontiguousarray(first[..., k : k + 3], np.float32) for k in (0, 3))
     bright = 60 * max(float(np.percentile(colour, 80)), 1e-6)  # single paths that met a lamp
     return pyoidn.denoise(
@@ -183,9 +184,7 @@ def truth(loaded: Any, camera: Camera, pose: np.ndarray, seed: int) -> tuple[np.
     """
     mi = mitsuba()
     aovs = {"type": "aov", "aovs": "p:position,n:geo_normal,i:shape_index", "block_size": _BLOCK}
-    image = np.array(
-        mi.render(loaded, sensor=_sensor(camera, pose, 1), integrator=mi.load_dict(aovs), seed=seed), dtype=np.float64
-    )
+    image = _traced(loaded, mi.load_dict(aovs), camera, pose, 1, seed).astype(np.float64)
     point, normal, index = image[..., 0:3], image[..., 3:6], image[..., 6]
     # The one sample of a pixel is jittered: move it along the surface's tangent plane to the ray through the centre.
     v, u = np.mgrid[: camera.height, : camera.width]
@@ -201,6 +200,11 @@ def truth(loaded: Any, camera: Camera, pose: np.ndarray, seed: int) -> tuple[np.
     ids = ids[np.where(hit, np.rint(index), 0).astype(int)]  # Mitsuba counts shapes from 1; 0 is a miss
     depth = np.where(hit, depth, 0).astype(np.float32)
     return pose[:3, 3] + ray * depth[..., None], depth, ids
+
+
+def _traced(loaded: Any, integrator: Any, camera: Camera, pose: np.ndarray, samples: int, seed: int) -> np.ndarray:
+    sensor = _sensor(camera, pose, samples)
+    return np.array(mitsuba().render(loaded, sensor=sensor, integrator=integrator, seed=seed % _SEEDS))
 
 
 def _sensor(camera: Camera, pose: np.ndarray, samples: int):

@@ -122,6 +122,13 @@ def test_the_same_seed_renders_the_same_values(box):
     assert np.array_equal(first, again) and not np.array_equal(first, other)
 
 
+def test_any_seed_of_64_bits_renders(box):
+    scene, loaded = box
+    for seed in (2**32, 2**63 - 1):
+        assert np.isfinite(render(loaded, CAMERA, scene.camera_pose, 1, seed)).all()
+        assert np.isfinite(truth(loaded, CAMERA, scene.camera_pose, seed)[1]).all()
+
+
 def test_any_number_of_threads_renders_the_same_values(box):
     drjit = pytest.importorskip("drjit")
     scene, loaded = box

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from ditr_lite.camera import Camera, shadow_width_px
+from ditr_lite.cli.shared import MAX_SEED
 from ditr_lite.data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample, read_sample, save_sample
 from ditr_lite.loss_types import Cause, LossType, label
 from ditr_lite.simulator import simulate as simulator
@@ -61,6 +62,11 @@ def test_the_same_seed_gives_the_same_sample():
         assert np.array_equal(getattr(first, key), getattr(again, key)), key
     assert first.stereo == again.stereo and not np.array_equal(first.depth_gt, other.depth_gt)
     assert other.ir_left is None and first.name == "test_00004" and first.meta["split"] == "test"
+
+
+@pytest.mark.parametrize("split", ["test", "rooms"])
+def test_the_largest_seed_that_the_command_takes_is_rendered(split, small_rooms):
+    assert simulate(MAX_SEED, split).name == f"{split}_{MAX_SEED}"
 
 
 def test_labels_agree_with_each_other_and_with_the_depths():
