@@ -35,6 +35,10 @@ def add_arguments(p: ArgumentParser) -> None:
 def run(options: Namespace) -> None:
     """Render scenes of one split, by default those that the repository ships; or export existing ones."""
     if options.export_as:
+        rendering = {"--sensor": options.sensor, "--out": options.out, "--workers": options.workers}
+        rendering |= {"--first-seed": options.first_seed, "--infrared": options.infrared}
+        if given := _given(rendering):
+            raise ValueError(f"{given[0]} is for rendering; --export-as writes scenes that are there, of --root")
         return run_export(options)
     if options.root:
         raise ValueError("--root is where --export-as takes its scenes from; rendering goes to --out")
@@ -42,7 +46,7 @@ def run(options: Namespace) -> None:
     if options.split is None:
         wanted = {"--count": options.count, "--first-seed": options.first_seed, "--infrared": options.infrared}
         wanted |= {"--sensor": options.sensor}
-        if given := [name for name, value in wanted.items() if value is not None]:
+        if given := _given(wanted):
             raise ValueError(f"{given[0]} needs --split; without a split the shipped scenes are made")
         jobs = [(split, count, 0, infrared) for split, count, infrared in SHIPPED]
     else:
@@ -60,6 +64,10 @@ def run(options: Namespace) -> None:
     for split, count, first_seed, infrared in jobs:
         paths = simulate_many(root, split, count, first_seed, workers, infrared, options.sensor)
         print(f"{Path(root) / split}: {len(paths)} scenes, {paths[0].name} to {paths[-1].name}")
+
+
+def _given(options: dict[str, object]) -> list[str]:
+    return [name for name, value in options.items() if value is not None]
 
 
 def _is_of_scenes(path: Path) -> bool:

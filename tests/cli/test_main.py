@@ -241,6 +241,13 @@ def test_bad_command_lines_are_named(argv, reason, capsys):
     assert reason in refused(argv, capsys)
 
 
+@pytest.mark.parametrize("option", ["--sensor d415", "--out y", "--workers 2", "--first-seed 0", "--infrared 1"])
+def test_an_export_takes_no_option_of_rendering(option, tmp_path, capsys):
+    argv = ["simulate", "--export-as", "todd", str(tmp_path / "new"), "--count", "1", *option.split()]
+    assert f"{option.split()[0]} is for rendering" in refused(argv, capsys)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_dataset_without_truth_is_refused(tmp_path, weights, capsys):
     for folder, suffix, array in (
         ("rgb", ".jpg", np.full((*SHAPE, 3), 90, np.uint8)),
