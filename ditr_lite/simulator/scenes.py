@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..data import OPAQUE, REFLECTIVE, TRANSPARENT
+from ..data import OPAQUE, REFLECTIVE, SPLITS, TRANSPARENT
 
 # Vessel outlines as (radius, height) points from the centre of the foot to the rim, in units of the vessel's height.
 VESSELS = {
@@ -79,8 +79,13 @@ def random_scene(seed: int, split: str = "train") -> Scene:
     Args:
         seed: any non-negative integer.
         split: ``train``, ``val`` or ``test``; only ``test`` uses the held-out families and materials.
+
+    Raises:
+        ValueError: for an unknown split.
     """
-    rng = np.random.default_rng([seed, ("train", "val", "test").index(split)])
+    if split not in SPLITS:
+        raise ValueError(f"unknown split {split!r}; choose one of {', '.join(SPLITS)}")
+    rng = np.random.default_rng([seed, SPLITS.index(split)])
     families = TEST_FAMILIES if split == "test" else TRAIN_FAMILIES
     steep = rng.random() < 0.75  # looking down at small things on a table, as the real frames mostly do
     elevation = np.deg2rad(rng.uniform(45, 80) if steep else rng.uniform(22, 45))

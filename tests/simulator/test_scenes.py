@@ -46,7 +46,7 @@ def test_a_seed_decides_the_scene_and_another_seed_or_split_another():
 
 
 def test_unknown_split_is_refused():
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="unknown split 'holdout'; choose one of train, val, test"):
         random_scene(0, "holdout")
 
 
