@@ -35,8 +35,8 @@ class Cause(IntEnum):
     REFLECTION = 2  # the virtual image in a mirror
     STEREO_OCCLUSION = 3  # hidden from the right infrared camera
     PARALLAX = 4  # hidden from the left infrared camera: the reprojection shadow
-    OUT_OF_VIEW = 5  # outside the infrared images or the disparity range
-    NO_MATCH = 6  # dark, grazing, saturated or textureless
+    OUT_OF_VIEW = 5  # outside one of the infrared images
+    NO_MATCH = 6  # dark, grazing, saturated, textureless, or nearer or farther than the sensor reads
     DROPOUT = 7  # edge and speckle dropout of the sensor
     MISMATCH = 8  # wrong reading outside the region
 

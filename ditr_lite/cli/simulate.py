@@ -29,7 +29,7 @@ def add_arguments(p: ArgumentParser) -> None:
     p.add_argument("--out", type=Path, help=HOMES)
     p.add_argument("--workers", type=whole(1, 256), help="processes (default: one per core)")
     p.add_argument("--first-seed", type=whole(0, MAX_SEED), help="first scene seed to try (default 0)")
-    p.add_argument("--infrared", type=whole(0), help="first scenes that keep their infrared pair (default 0)")
+    p.add_argument("--infrared", type=whole(0), help="first seeds whose scenes keep their infrared pair (default 0)")
 
 
 def run(options: Namespace) -> None:

@@ -43,7 +43,7 @@ SLENDER = ("bottle", "pet_bottle", "flask", "carafe")  # have a neck that a cap 
 
 
 def vessel(rng: np.random.Generator, family: str, wall: float, close: bool = True) -> dict[str, Any]:
-    """Draw a form of a family: widths off by up to 15 %, corners cut, a square or fluted body at times."""
+    """Draw a form of a family: widths 0.78 to 1.3 times its own, corners cut, a square or fluted body at times."""
     points = np.array(OUTLINES[family], dtype=float) - (0, 0.5)
     points[:, 0] *= rng.uniform(0.85, 1.2) * (1 + rng.uniform(-0.08, 0.08, len(points)))
     for _ in range(2):  # Chaikin: replace every inner corner by points at 1/4 and 3/4 of its edges
@@ -76,7 +76,11 @@ def radius_at(form: dict[str, Any], height: np.ndarray) -> np.ndarray:
 
 
 def liquid(form: dict[str, Any], level: float) -> dict[str, Any]:
-    """Return what fills a vessel up to a share ``level`` of its height; it touches no wall."""
+    """Return what fills a vessel up to a share ``level`` of its height.
+
+    A film of air lies between it and an upright wall. Where a thick wall bends in, at the foot above all, it reaches
+    some way into the glass.
+    """
     gap = form["wall"] + 0.012
     top = level - 0.5
     heights = np.linspace(-0.5 + gap, top, 24)
@@ -159,7 +163,11 @@ def mesh(form: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def walled(points: np.ndarray, wall: float) -> np.ndarray:
-    """Return the outline (2 N, 2) of a vessel with an inside, its wall ``wall`` thick, of its outer one (N, 2)."""
+    """Return the outline (2 N, 2) of a vessel with an inside: the outer one (N, 2), moved inwards and up by ``wall``.
+
+    An upright wall is that thick. On the slope of a stem glass's foot the inside comes out of the body, by less than
+    ``wall``.
+    """
     inner = np.c_[np.maximum(points[:, 0] - wall, 0), np.minimum(points[:, 1] + wall, points[-1, 1])]
     return np.concatenate([points, inner[::-1]])
 

@@ -178,6 +178,8 @@ def render_clean(loaded: Any, camera: Camera, pose: np.ndarray, samples: int, se
 def truth(loaded: Any, camera: Camera, pose: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the first surface that a camera sees through each pixel's centre.
 
+    Of two surfaces that share a pixel it is the one that a random point of the pixel shows, carried on to the centre.
+
     Returns:
         (H, W, 3) float64 world points; (H, W) float32 depth in metres, 0 where nothing is hit; (H, W) int thing ids,
         0 for table, walls and floor, otherwise the position in ``scene.things`` plus 1.

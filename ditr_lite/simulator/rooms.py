@@ -283,7 +283,7 @@ SUPPORTS = {
 
 
 def _room(rng, view: Framing, support: Support) -> list[dict[str, Any]]:
-    """Return floor, walls 1.5 to 6 m behind and beside, a ceiling at times, and furniture along the walls."""
+    """Return floor, a wall behind (0.2 to 9 m), walls beside (0.8 to 4 m), a ceiling at times, and furniture."""
     floor = support.floor - 0.0015
     ground = np.diag([9.0, 9.0, 1.0, 1.0])
     ground[2, 3] = floor

@@ -20,7 +20,7 @@ from .render import build_scene, mitsuba, render, truth
 from .scenes import Scene
 
 SHEET_M = 0.002  # glass in one wall that the scene keeps as a sheet without thickness
-WALL_PASS = 0.92  # share of light that one glass surface lets through (Fresnel, normal incidence, n = 1.5: 0.96 a side)
+WALL_PASS = 0.92  # share of light left after a glass surface: twice the loss of clean glass (Fresnel head-on: 0.96)
 EVENTS = 16  # surfaces followed along one ray
 LOBE_DEG, LOBE_GAIN = 3.0, 40.0  # a glass surface met head-on throws light back into a narrow lobe
 ALBEDO = 0.5  # of a typical surface; fixes the scale of the returned light
@@ -91,7 +91,7 @@ def multipath(points: np.ndarray, normals: np.ndarray, camera: Camera, albedo: f
 
 
 def surface_normals(points: np.ndarray) -> np.ndarray:
-    """Return (h, w, 3) unit normals, towards the camera at the origin, from the points' neighbours; 0 at jumps."""
+    """Return (h, w, 3) unit normals, towards the camera at the origin, from the points' neighbours, at jumps too."""
     across, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
     normal = np.cross(across, down)
     length = np.linalg.norm(normal, axis=2, keepdims=True)
