@@ -84,10 +84,15 @@ def _is_scene(split: str, path: Path) -> bool:
 def run_export(options: Namespace) -> None:
     """Write existing scenes in the layout of a real dataset."""
     from ..data import list_samples, load_sample
+    from ..datasets import REGISTRY
     from ..datasets import export as exports
 
     name, folder = options.export_as
     split = options.split or "val"
     names = list_samples(split, options.root)[: options.count]
     exports.export(name, folder, (load_sample(n, options.root) for n in names), split)
-    print(f"{folder}: {len(names)} frames; read them with `evaluate --dataset {name} --root {folder}`")
+    if REGISTRY[name](folder)[0].depth_gt is None:
+        advice = "they hold no true depth, so `evaluate` has nothing to score"
+    else:
+        advice = f"read them with `evaluate --dataset {name} --root {folder}`"
+    print(f"{folder}: {len(names)} frames; {advice}")

@@ -109,7 +109,11 @@ def test_listing_reads_no_picture(exported, monkeypatch):
 def test_the_command_writes_what_evaluate_reads(tmp_path, capsys):
     out = tmp_path / "todd"
     assert main(["simulate", "--export-as", "todd", str(out), "--count", "2"]) == 0
-    assert "2 frames" in capsys.readouterr().out and len(datasets.TODD(out, "val")) == 2
+    said = capsys.readouterr().out
+    assert f"2 frames; read them with `evaluate --dataset todd --root {out}`" in said
+    assert len(datasets.TODD(out, "val")) == 2
+    assert main(["simulate", "--export-as", "trosd", str(tmp_path / "trosd"), "--count", "2"]) == 0
+    assert "2 frames; they hold no true depth, so `evaluate` has nothing to score" in capsys.readouterr().out
     for argv, reason in (
         (["--export-as", "todd", str(out)], "not an empty folder"),
         (["--export-as", "nyu", str(tmp_path / "x")], "cannot export as 'nyu'; choose one of cleargrasp"),
