@@ -511,7 +511,10 @@ def _picture(path: Path, data: bytes, indices: bool, turn: bool) -> np.ndarray:
     array = array.astype(array.dtype.newbyteorder("="), copy=False)
     if ros:
         array = _ros_depth(array, ROS_HEADER.unpack(data[: ROS_HEADER.size]))
-    return _turned(path, array, orientation, turn)
+    if orientation in range(2, 9):  # Pillow has turned a TIFF by itself
+        _check_turn(path, orientation, turn)
+        array = array if kind == "TIFF" else _turned(array, orientation)
+    return array
 
 
 def _decoded(kind: str, data: bytes) -> np.ndarray | None:
@@ -566,13 +569,15 @@ def _ros_depth(raw: np.ndarray, header: tuple[int, float, float]) -> np.ndarray:
     return np.where(raw > 0, a / np.maximum(raw.astype(np.float64) - b, 1e-9), 0).astype(np.float32)
 
 
-def _turned(path: Path, image: np.ndarray, orientation: int, turn: bool) -> np.ndarray:
-    """Return a picture as its EXIF orientation says that it is to be shown."""
-    if orientation not in range(2, 9):
-        return image
+def _check_turn(path: Path, orientation: int, turn: bool) -> None:
+    """Refuse a picture that its EXIF orientation turns, or warn of it where that is allowed."""
     if not turn:
         raise ValueError(f"{path} is to be turned by its EXIF orientation {orientation}: save its pixels as shown")
     warnings.warn(f"{path} was turned as its EXIF orientation {orientation} says: is depth, too?", stacklevel=2)
+
+
+def _turned(image: np.ndarray, orientation: int) -> np.ndarray:
+    """Return a picture as its EXIF orientation, 2 to 8, says that it is to be shown."""
     if orientation >= 5:
         image = np.swapaxes(image, 0, 1)
     if orientation in (2, 3, 6, 7):

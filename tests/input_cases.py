@@ -370,8 +370,10 @@ def colours():
     turns = {2: 0, 3: 3, 4: 1, 5: 5, 6: 2, 7: 6, 8: 4}  # the transposition that stores what the tag will undo
     for value, turn in turns.items():
         stored = image.transpose(Image.Transpose(turn))
-        write = pillow(stored, exif=orientation(value))
-        yield Case(f"colour|exif{value}.png", write, files.read_rgb, RGB, f"EXIF orientation {value}")
+        for kind in ("PNG", "TIFF"):
+            write = pillow(stored, kind, exif=orientation(value))
+            name = f"colour|exif{value}.{kind.lower()}"
+            yield Case(name, write, files.read_rgb, RGB, f"EXIF orientation {value}")
     smooth = np.dstack([np.tile(np.arange(32, dtype=np.uint8) * 7, (24, 1))] * 3)
     jpeg = picture(smooth, ".jpg")
     for share in (0.3, 0.6, 0.9, 0.98):
