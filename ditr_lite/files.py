@@ -725,22 +725,33 @@ def _camera_values(path: Path) -> dict[str, float]:
 def _of_yaml(path: Path, text: str) -> dict[str, float]:
     """Return the ``name: number`` lines of a file and its matrix; all that a camera file needs of YAML."""
     text = "\n".join(line.partition("#")[0].rstrip() for line in text.splitlines())
-    values = {}
+    text = re.sub(r"^([ \t]*)roi[ \t]*:\n(?:\1[ \t]+.*(?:\n|\Z))+", "", text, flags=re.MULTILINE)  # ROS: 0 x 0, a part
+    values: dict[str, float] = {}
     for key, value in re.findall(r"^[ \t]*([\w ]+?)[ \t]*:[ \t]*([-+.\w]+)[ \t,]*$", text, re.MULTILINE):
         try:
-            values[key.lower()] = float(value)
+            read = float(value)
         except ValueError:
             continue  # a heading, a camera's name
+        key = CENTRES.get(key.lower(), key.lower())
+        if key in ("fx", "fy", "cx", "cy") and key in values and values[key] != read:
+            raise ValueError(f"{path} holds several cameras: keep the one of the colour picture")
+        values[key] = read
     number = r"[-+.\deE]+"
-    flat = re.search(r"camera_matrix\s*:[^\[]*?data\s*:\s*\[([^\]]*)\]", text)
-    flat = flat or re.search(r"^\s*[Kk]\s*:\s*\[([^\]]*)\]", text, re.MULTILINE)
-    flat = flat or re.search(rf"^\s*[Kk]\s*:\s*\n((?:\s*-\s+{number}\s*\n?){{9}})", text, re.MULTILINE)
-    if flat and not {"fx", "fy"} <= set(values):
-        entries = [float(word) for word in re.findall(rf"(?<![\w.]){number}", flat.group(1).replace("- ", " "))]
+    for pattern in (
+        r"camera_matrix\s*:[^\[]*?data\s*:\s*\[([^\]]*)\]",
+        r"^\s*[Kk]\s*:\s*\[([^\]]*)\]",
+        rf"^\s*[Kk]\s*:\s*\n((?:\s*-\s+{number}\s*\n?){{9}})",
+    ):
+        found = re.findall(pattern, text, re.MULTILINE)
+        if not found or {"fx", "fy"} <= set(values):
+            continue
+        if len(set(found)) > 1:
+            raise ValueError(f"{path} holds several cameras: keep the one of the colour picture")
+        entries = [float(word) for word in re.findall(rf"(?<![\w.]){number}", found[0].replace("- ", " "))]
         if len(entries) != 9:
             raise ValueError(f"{path} should hold a 3x3 camera matrix, got {len(entries)} numbers")
         values |= _matrix(path, np.array(entries).reshape(3, 3))
-    return {CENTRES.get(key, key): value for key, value in values.items() if _known(CENTRES.get(key, key))}
+    return {key: value for key, value in values.items() if _known(key)}
 
 
 def _of_json(path: Path, held: dict[str, Any]) -> dict[str, float]:

@@ -404,6 +404,20 @@ camera_matrix:
 distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
 """
 ROS_2 = "header:\n  frame_id: c\nheight: 24\nwidth: 32\nk:\n" + "".join(f"- {number}\n" for number in K.ravel())
+ROS_ECHO = """height: 24
+width: 32
+distortion_model: "plumb_bob"
+K: [30.0, 0.0, 15.5, 0.0, 31.0, 11.5, 0.0, 0.0, 1.0]
+P: [30.0, 0.0, 15.5, 0.0, 0.0, 31.0, 11.5, 0.0, 0.0, 0.0, 1.0, 0.0]
+binning_x: 0
+roi:
+  x_offset: 0
+  y_offset: 0
+  height: 0
+  width: 0
+  do_rectify: False
+---
+"""  # of `rostopic echo camera_info`
 NAMED = {"fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.5}
 LINES = "".join(f"{key}: {value}\n" for key, value in NAMED.items())
 
@@ -425,6 +439,9 @@ def cameras():
         "xres.yml": LINES + "xres: 32\nyres: 24\n",
         "ros.yaml": ROS,
         "ros2.yaml": ROS_2,
+        "ros2_echo.yaml": ROS_2 + ROS_ECHO[ROS_ECHO.index("binning") :],
+        "ros1_echo.yaml": ROS_ECHO,
+        "ros1_echo_twice.yaml": 2 * ROS_ECHO,
         "ros1.yaml": "height: 24\nwidth: 32\nK: [30.0, 0.0, 15.5, 0.0, 31.0, 11.5, 0.0, 0.0, 1.0]\n",
         "realsense.json": json.dumps(realsense),
         "realsense.txt": "Width: 32\nHeight: 24\nPPX: 15.5\nPPY: 11.5\nFx: 30\nFy: 31\n",
@@ -453,6 +470,8 @@ def cameras():
         ("broken.json", text('{"fx": '), "as JSON"),
         ("deep.json", text('{"a": ' * 3000 + "1" + "}" * 3000), "JSON|lacks"),
         ("two.json", text(json.dumps({"left": realsense, "right": realsense})), "2 cameras"),
+        ("two.yaml", text("color:\n" + LINES + "depth:\n" + LINES.replace("30", "25")), "several cameras"),
+        ("two_ros.yaml", text(ROS_ECHO + ROS_ECHO.replace("30", "25")), "several cameras"),
         ("odd.json", text(json.dumps({"K": "thirty", "fx": None})), "lacks"),
         ("odd_matrix.json", text(json.dumps({"K": [["a"] * 3] * 3})), "should hold numbers"),
         ("few.yaml", text("K: [30, 0, 15.5]\n"), "3x3 camera matrix|lacks"),
