@@ -17,6 +17,7 @@ import numpy as np
 
 from ..config import RefineConfig
 from ..pipeline import Completion, Ditr, compose
+from ..units import check_inputs
 from ..windows import Claim
 
 LONGEST = 30  # frames that a running mean reaches back
@@ -58,6 +59,7 @@ class Steady:
 
         ``how`` are its ``steps``, ``samples`` and ``seed``.
         """
+        rgb, depth, region = check_inputs(rgb, depth, region, samples=1)  # how many, the system checks
         same = self.same = self._compare(rgb, depth)
         out = self.ditr(rgb, depth, region, adjust=adjust, **how)
         region = out.region

@@ -273,6 +273,18 @@ def test_readings_outside_the_region_are_kept_in_video(flickering):
         assert np.array_equal(out.depth[keep], depth[keep]) and (out.depth > 0).all()
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0, 65.535])
+def test_what_is_no_reading_is_painted_in_video_as_it_is_alone(flickering, bad):
+    rng, steady = np.random.default_rng(1), Steady(flickering)
+    for _ in range(2):
+        rgb, depth = scene(36, rng)
+        depth[50:60] = bad
+        out = steady(rgb, depth)
+        assert out.depth.min() > 0 and out.depth.max() < 1
+    with pytest.raises(ValueError, match="divide millimetres by 1000"):
+        steady(rgb, np.full(SHAPE, 700, np.uint16))
+
+
 def test_a_still_frame_of_a_video_is_as_it_is_alone(weights):
     ditr = pipeline.Ditr.from_pretrained(path=weights)
     rgb, depth = scene(36, np.random.default_rng(1))
