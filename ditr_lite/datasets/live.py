@@ -9,6 +9,7 @@ import numpy as np
 
 from ..camera import Camera
 from ..data import Sample
+from ..files import NO_READING
 from ..units import clean_depth
 
 if TYPE_CHECKING:
@@ -103,6 +104,7 @@ def _scale(profile: "pyrealsense2.pipeline_profile") -> float:
 def _sample(name: str, frames: "pyrealsense2.composite_frame", scale: float) -> Sample:
     """Return aligned frames as a sample, with copies of their pixels: the library uses its memory again."""
     depth, colour = frames.get_depth_frame(), frames.get_color_frame()
+    units = np.asanyarray(depth.get_data())
     k = colour.profile.as_video_stream_profile().get_intrinsics()
     rgb = np.array(colour.get_data())
     if str(colour.profile.format()).endswith("bgr8"):
@@ -110,7 +112,7 @@ def _sample(name: str, frames: "pyrealsense2.composite_frame", scale: float) -> 
     return Sample(
         name=name,
         rgb=rgb,
-        depth=clean_depth(np.asanyarray(depth.get_data()).astype(np.float64) * scale),
+        depth=clean_depth(np.where(units == NO_READING, 0, units * np.float64(scale))),
         camera=Camera(k.fx, k.fy, k.ppx, k.ppy, k.width, k.height),
         meta={"depth_scale": scale},
     )

@@ -10,6 +10,7 @@ from ditr_lite.camera import Camera
 from ditr_lite.datasets import live
 
 UNITS = np.array([[400, 0, 65535], [800, 1200, 2000]], np.uint16)
+METRES = np.array([[0.1, 0, 0], [0.2, 0.3, 0.5]])  # 65535 is no reading, as in a file
 
 
 class Frame:
@@ -94,7 +95,7 @@ def test_a_frame_comes_aligned_in_metres_with_its_own_scale_and_camera(monkeypat
     monkeypatch.setattr(live, "find_spec", lambda name: object())
     monkeypatch.setitem(sys.modules, "pyrealsense2", library(["L515"]))
     sample = live.grab(3, 2, warm_up=0)
-    np.testing.assert_allclose(sample.depth, UNITS * 0.00025, rtol=1e-6)
+    np.testing.assert_allclose(sample.depth, METRES, rtol=1e-6)
     assert sample.depth.dtype == np.float32 and sample.rgb.shape == (2, 3, 3)
     assert sample.camera == Camera(600.0, 601.0, 1.5, 0.5, 3, 2) and Pipeline.stopped == 1
 
@@ -112,7 +113,7 @@ def test_a_recording_gives_its_frames_in_order_without_dropping_any(monkeypatch,
     samples = list(live.recorded(bag, every=2))
     assert [s.name for s in samples] == ["desk_00000", "desk_00002", "desk_00004"]
     assert Config.file == str(bag) and not Pipeline.real_time and Pipeline.stopped == before + 1
-    np.testing.assert_allclose(samples[0].depth, UNITS * 0.00025, rtol=1e-6)
+    np.testing.assert_allclose(samples[0].depth, METRES, rtol=1e-6)
     assert samples[0].rgb[0, 0].tolist() == ([9, 8, 7] if blue_first else [7, 8, 9])
 
 
