@@ -47,7 +47,12 @@ class STD(FrameFolder):
 
     def files_of(self, stem: Path) -> list[Path]:
         """Return the files of colour, depth, truth, mask and materials."""
-        return [beside(stem, ending) for ending in ("_color.png", self.suffix, self.truth, self.mask, "_meta.txt")]
+        others = ("_color.png", self.suffix, self.mask, "_meta.txt")
+        return [self.truth_of(stem), *(beside(stem, ending) for ending in others)]
+
+    def truth_of(self, stem: Path) -> Path:
+        """Return the file of true depth."""
+        return beside(stem, self.truth)
 
     def read(self, name: str, stem: Path) -> Sample:
         """Read one frame."""
@@ -63,7 +68,7 @@ class STD(FrameFolder):
             name=name,
             rgb=rgb,
             depth=read_depth(beside(stem, self.suffix), allow_empty=True),
-            depth_gt=read_depth(beside(stem, self.truth)),
+            depth_gt=read_depth(self.truth_of(stem)),
             region=material != OPAQUE,
             camera=Camera(fx * zoom, fy * zoom, width / 2 - 0.5, height / 2 - 0.5, width, height),
             material=material,
@@ -90,6 +95,11 @@ class DREDS(STD):
     protocol = (
         "Not used by the paper; its simulator is the recipe of ours, so it is the nearest relative of data_samples."
     )
+
+    def truth_of(self, stem: Path) -> Path:
+        """Return the file of true depth, which is called otherwise in some of the test scenes."""
+        usual, other = super().truth_of(stem), beside(stem, "_depth_0.exr")
+        return other if other.is_file() and not usual.is_file() else usual
 
     def instances(self, path: Path) -> np.ndarray:
         """Return (H, W) instance ids; the file holds id / 255."""
