@@ -480,7 +480,8 @@ def _picture(path: Path, data: bytes, indices: bool, turn: bool) -> np.ndarray:
     """Return the pixels of a picture file after checking that it is whole."""
     ros = data[ROS_HEADER.size :].startswith(PNG_MAGIC) and not data.startswith(PNG_MAGIC)
     body = data[ROS_HEADER.size :] if ros else data
-    unreadable = f"cannot read {path}: expected a PNG, JPEG, TIFF, .npy or .exr file, this is none or is cut short"
+    kinds = "a PNG, JPEG, TIFF (of integers or float32), .npy or .exr file"
+    unreadable = f"cannot read {path}: expected {kinds}, this is none or is cut short"
     Image.init()  # all kinds: by itself Pillow tries only the commonest when it is told which to try
     try:
         with warnings.catch_warnings(), _quiet():
@@ -500,8 +501,8 @@ def _picture(path: Path, data: bytes, indices: bool, turn: bool) -> np.ndarray:
         raise ValueError(unreadable) from None
     if huge:
         raise ValueError(f"{path} claims {size[0]} x {size[1]} pixels, more than any camera has")
-    if mode == "CMYK":
-        raise ValueError(f"{path} holds printing colours (CMYK): save it as RGB")
+    if mode in ("CMYK", "YCbCr", "LAB"):
+        raise ValueError(f"{path} holds colours as {mode}: save it as RGB")
     if kind == "TIFF" and pages > 1:
         raise ValueError(f"{path} holds {pages} pictures: expected one; save the one that is meant by itself")
     if array is None:

@@ -281,6 +281,7 @@ def damaged_depth():
         ("colour.png", picture(RGB), "was the colour picture given"),
         ("normals.exr", exr(R=METRES, G=METRES + 1, B=METRES), "R, G, B that differ"),
         ("xy.exr", exr(A=METRES, X=METRES), "expected one channel, Z or R"),
+        ("double.tif", picture(METRES.astype(np.float64), ".tif"), "expected .* TIFF .of integers or float32"),
         ("all_zero.png", picture(0 * MM), "no valid depth"),
         ("all_nan.npy", npy(np.full(SIZE, np.nan)), "no valid depth"),
         ("all_code.png", picture(np.full_like(MM, 65535)), "no valid depth"),
@@ -387,7 +388,9 @@ def colours():
         ("chw.npy", npy(RGB.transpose(2, 0, 1)), "uint8"),
         ("depth.png", picture(MM), "was a depth map"),
         ("zero.npy", npy(np.zeros((0, 0, 3), np.uint8)), "no pixel"),
-        ("cmyk.jpg", pillow(image.convert("CMYK"), "JPEG"), "four channels|cannot read|CMYK"),
+        ("cmyk.jpg", pillow(image.convert("CMYK"), "JPEG"), "colours as CMYK: save it as RGB"),
+        ("ycbcr.tif", pillow(image.convert("YCbCr"), "TIFF"), "colours as YCbCr: save it as RGB"),
+        ("lab.tif", pillow(image.convert("LAB"), "TIFF"), "colours as LAB: save it as RGB"),
         ("photo.heic", raw(b"\x00\x00\x00\x18ftypheic" + bytes(500)), "cannot read"),
         ("absent.jpg", lambda path: None, "no file"),
     ):
