@@ -30,12 +30,24 @@ class TROSD(FrameFolder):
         found = sorted(Path(root).glob(f"{split}*.txt")) if split in self.splits else []
         lists = [path for path in found if not is_hidden(path, Path(root))]
         rows = [line.split() for path in lists for line in read_text(path).splitlines()]
-        self._listed = {Path(row[0]).stem for row in rows if row} if lists else None  # a row begins with a file's path
+        self._listed: dict[str, set[str | None]] | None = {} if lists else None  # stem -> folders; None: in any
+        for path in (Path(row[0]) for row in rows if row):  # a row begins with a file's path
+            self._listed.setdefault(path.stem, set()).add(self._folder(path))
         super().__init__(root, split)
 
     def in_split(self, name: str) -> bool:
-        """Return whether a list of the split names the frame, or, without lists, whether its folder is called so."""
-        return super().in_split(name) if self._listed is None else Path(name).name in self._listed
+        """Return whether a list of the split names the frame, or, without lists, whether its folder is called so.
+
+        A row that says in which of the folders train and test its file lies means no other: both may hold a 000001.
+        """
+        if self._listed is None:
+            return super().in_split(name)
+        folder, folders = self._folder(Path(name)), self._listed.get(Path(name).name, set())
+        return bool(folders) if folder is None else not folders.isdisjoint({None, folder})
+
+    def _folder(self, path: Path) -> str | None:
+        """Return the nearest folder of a path that is called like a split; None where none is."""
+        return next((part for part in reversed(path.parts[:-1]) if part in self.splits), None)
 
     def files_of(self, stem: Path) -> list[Path]:
         """Return the files of colour, depth and mask."""

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import shutil
 from pathlib import Path
 
 import cv2
@@ -182,6 +183,20 @@ def test_trosd_goes_by_its_lists_where_there_are_any(tmp_path):
     assert len(datasets.TROSD(root)) == 3
     with pytest.raises(ValueError, match="no TROSD frames of split 'train'"):
         datasets.TROSD(root, "train")
+
+
+def test_trosd_tells_frames_of_one_name_apart_by_the_folder_that_a_list_gives(tmp_path):
+    root = tmp_path / "r"
+    export.export("trosd", root, SCENES[:1], "test")
+    shutil.copytree(root / "test", root / "train")
+    for split in ("train", "test"):
+        (root / f"{split}.txt").write_text(f"TROSD/{split}/rgb/000000.jpg\n")
+        assert datasets.TROSD(root, split).names == [f"{split}/depth/000000"]
+    for row in ("rgb/000000.jpg", "000000", "train/rgb/000000.jpg\ntest/rgb/000000.jpg"):
+        (root / "test.txt").write_text(row)
+        assert datasets.TROSD(root, "test").names == ["test/depth/000000", "train/depth/000000"]
+    (root / "test" / "test.txt").write_text("test/rgb/000000.jpg")
+    assert datasets.TROSD(root / "test", "test").names == ["depth/000000"]
 
 
 def test_what_can_be_taught_where():
