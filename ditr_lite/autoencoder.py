@@ -202,7 +202,7 @@ class VQAutoencoder(nn.Module):
         """Return normalised depth (B, 1, H, W) of ``latents`` (B, C, H/f, W/f), quantised first by default."""
         self._check(latents)
         z = latents / self.latent_scale + self.latent_shift
-        return self.decoder(self.quantizer(z)[0] if quantize else z)
+        return self.decoder(self.quantizer(z)[0] if quantize else z).to(z.dtype)  # float32 also where bfloat16 computes
 
     def forward(self, x: Tensor) -> dict[str, Tensor]:
         """Encode, quantise and decode.

@@ -99,6 +99,7 @@ class DetailNet(nn.Module):
                 f"x: expected (B, {len(CHANNELS)}, H, W) with channels {', '.join(CHANNELS)}, H and W multiples of "
                 f"{2**LEVELS}, got {tuple(x.shape)}"
             )
+        kind = x.dtype
         x = F.pixel_unshuffle(x, 2)  # (B, 10, H, W) -> (B, 40, H/2, W/2)
         skips = []
         for i, level in enumerate(self.down):
@@ -108,6 +109,7 @@ class DetailNet(nn.Module):
         for upsample, level in zip(self.upsample, self.up, strict=True):
             x = level(upsample(x) + skips.pop())
         out = F.pixel_shuffle(self.out(x), 2)  # (B, 4 OUTPUTS, H/2, W/2) -> (B, OUTPUTS, H, W)
+        out = out.to(kind)  # depth spreads in float32 also where bfloat16 computes
         residual, blend, trust, *kernels = out.split([1, 1, 2, *[9] * len(DILATIONS)], dim=1)
         blend = torch.sigmoid(blend - 2.0)  # at first the fill hardly counts,
         start = trust.new_tensor([3.0, -1.0]).view(1, 2, 1, 1)  # readings outside are trusted, and inside hardly

@@ -256,5 +256,5 @@ class DenoisingUNet(nn.Module):
         x = self.project(skips.pop())
         for upsample, level in zip(self.upsample, self.up, strict=True):
             x = level(torch.cat([upsample(x), skips.pop()], dim=1), time, features[len(skips)])
-        out = self.out(F.silu(self.norm(x)))
+        out = self.out(F.silu(self.norm(x))).to(latents.dtype)  # float32 also where bfloat16 computes
         return out + known if self.config.anchor else out

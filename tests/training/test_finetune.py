@@ -131,6 +131,18 @@ def test_painting_is_what_the_pipeline_paints(scenes, parts):
     assert np.abs(got[0][0, 0].numpy() - got[1][0, 0].numpy()).mean() > 2 * optical_off  # and not the other branch's
 
 
+@pytest.mark.parametrize("anchor", [True, False])
+def test_painting_in_bfloat16_is_hardly_another(scenes, parts, anchor):
+    batch, parts = frames(scenes), copy.deepcopy(parts)
+    for branch in ("optical", "geometric"):
+        parts[branch].config = replace(parts[branch].config, anchor=anchor)
+    paints = whole_frames(frame_painters(parts, TINY), TINY)
+    with torch.autocast("cpu", torch.bfloat16):
+        coarse = paints(batch, batch.region)
+    for found, wanted in zip(coarse, paints(batch, batch.region), strict=True):
+        assert found.dtype == torch.float32 and torch.allclose(found, wanted, rtol=0.05)
+
+
 def test_painters_have_the_finer_final_step_where_there_is_one(scenes, parts):
     painters = frame_painters(parts, TINY)
     assert all(p.detail is parts["detail"] for p in painters.values())

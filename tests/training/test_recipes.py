@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -87,6 +89,23 @@ def test_a_step_can_be_drawn_again(part, parts, pool):
         torch.manual_seed(9)
         totals.append(float(step_loss(step)["total"].detach()))
     assert totals[0] == totals[1] != totals[2]
+
+
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("anchor", [True, False])
+def test_every_part_trains_in_bfloat16(part, anchor, parts, pool):
+    for branch in BRANCHES:
+        net = parts[branch]
+        net.config = replace(net.config, anchor=anchor)
+    step_loss, totals = step_of(part, parts, pool), []
+    for half in (False, True):
+        torch.manual_seed(0)
+        with torch.autocast("cpu", torch.bfloat16, enabled=half):
+            losses = step_loss(0)
+        totals.append(float(losses["total"].detach()))
+    losses["total"].backward()
+    assert totals[0] != totals[1] and totals[1] == pytest.approx(totals[0], rel=0.05)
+    assert all(torch.isfinite(p.grad).all() for p in parts[part].parameters() if p.grad is not None)
 
 
 def plain(scenes):
