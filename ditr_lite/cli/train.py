@@ -290,14 +290,12 @@ def show_cost(options: Namespace, part: str, config, recipe) -> None:
     """Print the arithmetic of a training before it starts: for the paper's preset, or where it is asked for."""
     if options.preset != "paper" and not options.cost:
         return
-    from accelerate import PartialState
-
     from ..evaluation.training_costs import conv_rate, format_cost
+    from ..training.loop import is_first
 
-    state = PartialState(cpu=options.cpu)
-    if state.is_main_process:
-        shares = state.num_processes * options.accumulate
-        print(format_cost(part, config, recipe, shares, state.num_processes * conv_rate()), flush=True)
+    processes = engine_of(options).start().num_processes  # joins the others, which whoever asks first decides
+    if is_first():
+        print(format_cost(part, config, recipe, processes * options.accumulate, processes * conv_rate()), flush=True)
 
 
 def experiment(options: Namespace, settings: dict[str, str]) -> None:

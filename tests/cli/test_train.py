@@ -13,6 +13,8 @@ from ditr_lite import data, store
 from ditr_lite.cli import main
 
 TINY = ["--preset", "tiny", "--steps", "1", "--batch", "2"]
+SMALL = ["size=64,96", "autoencoder.width=8", "autoencoder.codes=64", "unet.width=8", "unet.cond_channels=8"]
+SMALL_PAPER = ["--preset", "paper", *(word for setting in SMALL for word in ("--set", setting))]
 
 
 def refused(argv, capsys):
@@ -44,14 +46,18 @@ def test_a_dataset_is_trained_on_alone_and_mixed(exported, scenes, tmp_path, mon
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="torch's build for Windows has no libuv store")
-def test_two_processes_train_together(scenes, tmp_path):
+@pytest.mark.parametrize("how", [TINY, [*SMALL_PAPER, "--steps", "1", "--batch", "2"]], ids=["tiny", "paper"])
+def test_two_processes_train_together(how, scenes, tmp_path):
     command = [*"-m torch.distributed.run --standalone --nproc-per-node=2".split(), *"-m ditr_lite train".split()]
-    command += [*TINY, "--part", "region", "--data", scenes / "val", "--val", scenes / "test"]
+    command += [*how, "--part", "region", "--data", scenes / "val", "--val", scenes / "test"]
     command += ["--out", tmp_path / "out", "--work", tmp_path / "work"]
     surroundings = os.environ | {"OMP_NUM_THREADS": "1"}
     done = subprocess.run([sys.executable, *command], env=surroundings, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
     assert done.stdout.count("region.safetensors: 1 steps") == 1  # apart, both would say it, and write the same files
+    assert store.read_card(tmp_path / "out")["parts"]["region"]["shares"] == 2
+    if how is not TINY:
+        assert done.stdout.count("1 views at a time") == 1  # the cost, of a process
 
 
 def test_the_papers_preset_says_what_it_costs_before_it_starts(scenes, tmp_path, capsys, monkeypatch):
@@ -69,10 +75,8 @@ def test_the_papers_preset_says_what_it_costs_before_it_starts(scenes, tmp_path,
 
 
 def test_a_step_of_the_papers_recipe_runs_at_a_reduced_size(scenes, tmp_path, capsys):
-    small = ["size=64,96", "autoencoder.width=8", "autoencoder.codes=64", "unet.width=8", "unet.cond_channels=8"]
-    argv = ["train", "--preset", "paper", *(word for s in small for word in ("--set", s))]
-    argv += ["--data", str(scenes / "val"), "--val", str(scenes / "test"), "--steps", "1", "--batch", "2"]
-    argv += ["--out", str(tmp_path / "out"), "--work", str(tmp_path / "work")]
+    argv = ["train", *SMALL_PAPER, "--data", str(scenes / "val"), "--val", str(scenes / "test"), "--steps", "1"]
+    argv += ["--batch", "2", "--out", str(tmp_path / "out"), "--work", str(tmp_path / "work")]
     assert main(argv) == 0
     parts = store.read_card(tmp_path / "out")["parts"]
     assert list(parts) == ["autoencoder", "region", "optical", "geometric"]  # the paper has no finer final step
