@@ -98,9 +98,14 @@ def save_part(name: str, state: dict[str, Tensor], config: Config, folder: Path 
         write_tensors(half, path)
         card["config"] = to_dict(config)
         card["parts"][name] = {"built_on": below, **notes, "sha256": sha256(path)}
-        with written_whole(folder / CARD) as part:  # as plain JSON: a curve may hold NaN where nothing could be scored
-            part.write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
+        _write_card(card, folder)
     return path
+
+
+def _write_card(card: dict[str, Any], folder: Path) -> None:
+    """Write the card of a folder as plain JSON: a curve may hold NaN where nothing could be scored."""
+    with written_whole(folder / CARD) as part:
+        part.write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
 
 
 def _calibrated(config: Config, there: Config) -> Config:
@@ -162,17 +167,23 @@ def copy_part(name: str, source: Path | str, folder: Path | str) -> None:
     save_part(name, state, config, folder, card["parts"][name])
 
 
-def copy_weights(source: Path | str, folder: Path | str) -> None:
+def copy_weights(source: Path | str, folder: Path | str, config: Config | None = None) -> None:
     """Copy a weights folder, its card last: until then the copy is none.
+
+    Args:
+        source: folder with ``card.json``.
+        folder: for the copy.
+        config: that the copy is to be used with, of networks of the same sizes; the source's by default.
 
     Raises:
         ValueError: when there are no weights in ``source``.
     """
     source, folder = Path(source), Path(folder)
     card = read_card(source)
-    for file in (*(f"{name}.safetensors" for name in card["parts"]), CARD):
-        with written_whole(folder / file) as part:
-            shutil.copyfile(source / file, part)
+    for name in card["parts"]:
+        with written_whole(folder / f"{name}.safetensors") as part:
+            shutil.copyfile(source / f"{name}.safetensors", part)
+    _write_card(card if config is None else card | {"config": to_dict(config)}, folder)
 
 
 def load_parts(path: Path | str | None = None, name: str | None = None) -> tuple[Config, dict[str, dict[str, Tensor]]]:

@@ -7,6 +7,7 @@ longer seen is forgotten), training stops when held-out frames gain no more, and
 nothing, decide whether the result is better than the start. If it is not, the start is what is written.
 """
 
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from ..config import Config
+from ..config import Config, to_dict
 from ..metrics import iou
 from ..stage_two import BRANCHES
 from ..store import WEIGHTS, copy_weights, load_part, read_card, save_part
@@ -26,6 +27,7 @@ from .parts import (
     check_same_system,
     claims_in_order,
     count_scenes,
+    needs,
     painter_of,
     parts_with,
     scene_errors,
@@ -131,7 +133,7 @@ def adapt(
     recipe = recipe or RECIPES[part]
     chooses, judges = split_held_out(held_out)
     if is_first() and not (Path(out) / "card.json").is_file():
-        copy_weights(start, out)
+        copy_weights(start, out, config)
     wait_for_all()
     parts = parts_with(part, config, out, seed)
     parts[part].load_state_dict(load_part(part, start))
@@ -140,7 +142,9 @@ def adapt(
     step, _ = assemble(part, parts, pool, None, config, recipe, boundary, seed)
     before = model_errors(model, errors, judges)
     remarks = {"start_sha256": read_card(start)["parts"][part]["sha256"]}
-    key = f"{checksum(*pool.groups, held_out)} {pool.shares.tolist()} {boundary} {remarks}"
+    below = [read_card(out)["parts"][name]["sha256"] for name in needs(part, config)]
+    seen = [checksum(*pool.groups, held_out), pool.shares.tolist()]
+    key = json.dumps([to_dict(config), seen, below, boundary, remarks], sort_keys=True)
     notes = fit(
         part,
         model,

@@ -168,7 +168,7 @@ def train_on(
         check_same_system(config, start, NETWORKS)
     if is_first():
         if start is not None and not (Path(out) / CARD).is_file():
-            copy_weights(start, out)  # the other parts come along: what is trained on stays a whole system
+            copy_weights(start, out, config)  # the other parts come along: what is trained on stays a whole system
         if PRETRAINED in needs(part, config):
             copy_part(PRETRAINED, WEIGHTS, out)
     wait_for_all()

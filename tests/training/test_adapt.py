@@ -7,8 +7,8 @@ import pytest
 import torch
 from made_scenes import make_scenes
 
-from ditr_lite.config import preset
-from ditr_lite.store import WEIGHTS, load_part, read_card, sha256
+from ditr_lite.config import override, preset
+from ditr_lite.store import WEIGHTS, load_part, read_card, read_config, save_part, sha256
 from ditr_lite.training import adapt as module
 from ditr_lite.training.adapt import adapt, check_out, errors_of, hold_out, mixed, split_held_out
 from ditr_lite.training.loop import Recipe
@@ -32,9 +32,9 @@ def own(count=9, seed=5):
     return make_scenes(count, SIZE, seed)
 
 
-def go(part, start, folder, recipe, held_out=None):
+def go(part, start, folder, recipe, held_out=None, config=TINY):
     pool = mixed([own()], [make_scenes(3, SIZE)], 0.5)
-    return adapt(part, TINY, pool, held_out or own(6, 7), start, folder / "out", folder / "work", recipe)
+    return adapt(part, config, pool, held_out or own(6, 7), start, folder / "out", folder / "work", recipe)
 
 
 def test_what_helps_is_kept_and_judged_by_frames_that_chose_nothing(start, tmp_path):
@@ -124,3 +124,31 @@ def test_a_stopped_fine_tuning_goes_on(start, tmp_path):
     shutil.copytree(tmp_path / "a" / "work", tmp_path / "b" / "work")
     again = go("region", start, tmp_path / "b", SHORT)
     assert once["judged"] == again["judged"] and once["curve"] == again["curve"]
+
+
+def test_a_stopped_fine_tuning_with_other_settings_goes_on(start, tmp_path, monkeypatch):
+    config = override(TINY, evidence=False)
+    with monkeypatch.context() as stopped, pytest.raises(KeyboardInterrupt):
+        stopped.setattr(module, "save_part", pull_the_plug)
+        go("optical", start, tmp_path, SHORT, config=config)
+    notes = go("optical", start, tmp_path, SHORT, config=config)
+    assert notes["judged"]["before"] and read_config(tmp_path / "out") == config
+
+
+def pull_the_plug(*_):
+    raise KeyboardInterrupt
+
+
+def test_a_checkpoint_of_other_settings_is_not_taken(start, tmp_path):
+    go("optical", start, tmp_path, SHORT)
+    shutil.rmtree(tmp_path / "out")
+    with pytest.raises(ValueError, match="belongs to another run, of other settings"):
+        go("optical", start, tmp_path, SHORT, config=override(TINY, evidence=False))
+
+
+def test_the_final_step_does_not_go_on_above_another_branch(start, tmp_path):
+    go("detail", start, tmp_path, SHORT)
+    other = load_part("optical", start)
+    save_part("optical", other | {"out.bias": other["out.bias"] + 1}, TINY, tmp_path / "out", {})
+    with pytest.raises(ValueError, match="belongs to another run, of other settings"):
+        go("detail", start, tmp_path, SHORT)
