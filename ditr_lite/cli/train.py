@@ -178,11 +178,15 @@ def fine_tune(options: Namespace, settings: dict[str, str]) -> None:
     has = [p for p in parts.PARTS if p in adapt.RECIPES and (p != "detail" or config.detail.width)]
     if options.part not in ("all", *has):  # before frames are decoded for it
         raise ValueError(f"cannot fine-tune {options.part!r}: choose all or one of {', '.join(has)}")
+    engine = engine_of(options)
     for part in has if options.part == "all" else [options.part]:
-        pool, held_out = own_frames(options, part, config)
         recipe = replace(adapt.RECIPES[part], **changes(options))
+        show_cost(options, part, config, recipe)
+        if options.cost:
+            continue
+        pool, held_out = own_frames(options, part, config)
         how = {"seed": options.seed, "boundary": options.boundary, "command": command_line(options)}
-        how |= {"engine": engine_of(options)} | every_of(options)
+        how |= {"engine": engine} | every_of(options)
         notes = adapt.adapt(part, config, pool, held_out, options.start, options.out, work, recipe, **how)
         if is_first():
             print(judgement(part, notes))
@@ -312,6 +316,10 @@ def experiment(options: Namespace, settings: dict[str, str]) -> None:
         raise ValueError(f"--seed {options.seed} leaves no {options.seeds} seeds: the largest is {MAX_SEED}")
     if options.every is not None:
         raise ValueError("--every is of a training that is resumed: a comparison of settings always runs to its end")
+    asked = {"accumulate": 1, "workers": 0, "precision": "auto", "cpu": False, "cost": False, "zero_region": False}
+    asked |= dict.fromkeys(("root", "split", "val_split", "scene_share"))
+    if given := [name for name, default in asked.items() if getattr(options, name) != default]:
+        raise ValueError(f"a comparison of settings takes no --{given[0].replace('_', '-')}; training one --part does")
     for name in ("data", "val"):
         if len(getattr(options, name) or []) > 1:
             raise ValueError(f"a comparison takes one folder of scenes as --{name}, got {len(getattr(options, name))}")

@@ -127,6 +127,20 @@ def test_checkpoints_come_as_often_as_they_are_asked_for(weights, scenes, tmp_pa
     assert "--every is of a training" in refused([*argv, "--preset", "tiny", "--set", "unet.heads=1"], capsys)
 
 
+@pytest.mark.parametrize("more", [["--cost"], ["--precision", "bf16"], ["--scene-share", "0.5"], ["--zero-region"]])
+def test_what_a_comparison_of_settings_does_not_do_is_refused(more, capsys):
+    reason = refused(["train", *TINY, "--set", "unet.heads=1", *more], capsys)
+    assert reason.startswith(f"a comparison of settings takes no {more[0]}; ")
+
+
+def test_the_cost_of_fine_tuning_is_shown_and_nothing_trained(weights, scenes, tmp_path, capsys):
+    argv = ["train", "--start", str(weights), "--data", str(scenes / "val"), "--out", str(tmp_path / "out")]
+    assert main([*argv, "--work", str(tmp_path / "work"), "--cost"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count(" of the tiny preset, 300 steps of 8 views") == 3 and "detail of the tiny" in printed
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("more", "reason"),
     [
