@@ -147,6 +147,7 @@ class TrainBoundary:
         """Train and print where the weights are and how good."""
         from ..data import SAMPLES
         from ..training.boundary import train_boundary
+        from ..training.loop import is_first, leave
 
         val = options.val or SAMPLES / "val"
         check_scenes([options.data], MAKE_TRAIN)
@@ -155,8 +156,10 @@ class TrainBoundary:
             check_folder(folder, _is_of_training, "weights and checkpoints")
         how = (options.out, options.work, options.limit, options.seed, command_line(options), engine_of(options))
         notes = train_boundary(options.data, val, *how, **changes(options))
-        each = (f"{m} F {notes[m]['val_f']:.3f} at threshold {notes[m]['threshold']}" for m in ("rgb", "depth"))
-        print(f"{options.out / 'boundary'}.safetensors: {'; '.join(each)} (validation)")
+        if is_first():
+            each = (f"{m} F {notes[m]['val_f']:.3f} at threshold {notes[m]['threshold']}" for m in ("rgb", "depth"))
+            print(f"{options.out / 'boundary'}.safetensors: {'; '.join(each)} (validation)")
+        leave()
 
 
 def fine_tune(options: Namespace, settings: dict[str, str]) -> None:
@@ -308,6 +311,7 @@ def experiment(options: Namespace, settings: dict[str, str]) -> None:
 
     from ..evaluation import results
     from ..studies.experiment import QUICK, compare_over_seeds, format_comparison, format_seeds
+    from ..training.loop import is_first, leave
 
     check_results(options.json)
     if options.seeds > 1 and options.out:
@@ -329,9 +333,11 @@ def experiment(options: Namespace, settings: dict[str, str]) -> None:
     how = {name: value for name, value in how.items() if value is not None}
     seeds = range(options.seed, options.seed + options.seeds)
     result = compare_over_seeds(settings, seeds, recipes=recipes, command=command_line(options), **how)
-    print(format_seeds(result) if len(seeds) > 1 else format_comparison(result["runs"][0]))
-    if options.json:
-        results.write(options.json, {"command": command_line(options), "versions": results.versions()}, result)
+    if is_first():
+        print(format_seeds(result) if len(seeds) > 1 else format_comparison(result["runs"][0]))
+        if options.json:
+            results.write(options.json, {"command": command_line(options), "versions": results.versions()}, result)
+    leave()
 
 
 def add_dataset(p: ArgumentParser) -> None:

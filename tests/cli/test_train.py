@@ -133,6 +133,18 @@ def test_what_a_comparison_of_settings_does_not_do_is_refused(more, capsys):
     assert reason.startswith(f"a comparison of settings takes no {more[0]}; ")
 
 
+def test_of_several_processes_the_first_alone_tells_what_was_found(scenes, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("ditr_lite.training.loop.is_first", lambda: False)
+    monkeypatch.setattr("ditr_lite.training.boundary.train_boundary", lambda *_, **__: None)
+    monkeypatch.setattr("ditr_lite.studies.experiment.compare_over_seeds", lambda *_, **__: None)
+    boundary = ["train-boundary", "--data", str(scenes / "val"), "--val", str(scenes / "test")]
+    results = tmp_path / "results.json"
+    comparison = ["train", *TINY, "--set", "unet.heads=1", "--json", str(results)]
+    for argv in (boundary, comparison):
+        assert main(argv) == 0
+    assert capsys.readouterr().out == "" and not results.exists()
+
+
 def test_the_cost_of_fine_tuning_is_shown_and_nothing_trained(weights, scenes, tmp_path, capsys):
     argv = ["train", "--start", str(weights), "--data", str(scenes / "val"), "--out", str(tmp_path / "out")]
     assert main([*argv, "--work", str(tmp_path / "work"), "--cost"]) == 0
