@@ -331,7 +331,7 @@ def fit(
         state.optimiser.zero_grad(set_to_none=True)
         losses = []
         for share, data in zip(run.shares, next(drawn), strict=True):
-            torch.manual_seed(seed * 1_000_003 + k)  # the noise of the whole batch, whoever takes which share of it
+            torch.manual_seed((seed * 1_000_003 + k) % 2**63)  # the noise of the whole batch, whoever takes which share
             more = share is not run.shares[-1]
             with accelerator.no_sync(scored) if more else nullcontext():  # gradients are joined once, at the last share
                 losses.append(scored(to_device(data, accelerator.device), k, share))

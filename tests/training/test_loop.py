@@ -281,6 +281,12 @@ def test_shares_are_equal_parts_in_order():
         fit("part", model, loss_of(model), replace(RECIPE, batch=2), None, engine=Engine(accumulate=2))
 
 
+def test_the_largest_seed_trains():
+    model = build()
+    notes = fit("part", model, loss_of(model), replace(RECIPE, steps=2), None, seed=2**63 - 1)
+    assert notes["steps"] == 2
+
+
 @pytest.mark.parametrize("wrong", [{"accumulate": 0}, {"workers": -1}, {"precision": "fp8"}])
 def test_an_engine_without_sense_is_refused(wrong):
     with pytest.raises(ValueError, match="expected accumulate|unknown precision 'fp8'; choose one of auto, no, bf16"):
