@@ -136,7 +136,9 @@ class BenchBoundary:
         p.add_argument("--root", type=Path, help="a folder of other rendered scenes, with their train split")
         p.add_argument("--split", default="test", help=f"{', '.join(SPLITS)} (default test)")
         p.add_argument("--limit", type=whole(), help="only the first frames")
-        p.add_argument("--tolerance", type=real(-1e-9, 100, "pixels"), default=1.0, help="pixels (%(default)s)")
+        p.add_argument(
+            "--tolerance", type=real(0, 100, "pixels", closed=True), default=1.0, help="pixels (%(default)s)"
+        )
         p.add_argument("--weights", type=Path, help="weights folder of the learned backend (default: the shipped one)")
         p.add_argument("--sam", type=Path, help="folder of a SAM checkpoint; without it, sam is not scored")
         p.add_argument("--json", type=Path, help="also write every frame's scores to this file")

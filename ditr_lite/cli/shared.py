@@ -39,16 +39,21 @@ def whole(low: int = 1, high: int | None = None) -> Callable[[str], int]:
     return read
 
 
-def real(low: float, high: float, what: str) -> Callable[[str], float]:
-    """Return what reads a number of an argument, above ``low`` and below ``high``; ``what`` says what it is."""
+def real(low: float, high: float, what: str, closed: bool = False) -> Callable[[str], float]:
+    """Return what reads a number of an argument, above ``low`` and below ``high``; ``what`` says what it is.
+
+    With ``closed``, ``low`` itself is taken, too.
+    """
 
     def read(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
             raise ArgumentTypeError(f"invalid float value: {text!r}") from None
-        if not low < value < high:  # NaN is neither
+        if not (low < value < high or (closed and value == low)):  # NaN is neither
             limits = f"above {low:g}" if math.isinf(high) else f"between {low:g} and {high:g}"
+            if closed:
+                limits = f"from {low:g} to below {high:g}"
             raise ArgumentTypeError(f"expected {what} {limits}, got {text}")
         return value
 

@@ -242,7 +242,10 @@ def own_frames(options: Namespace, part: str, config):
 def real_frames(options: Namespace):
     """Return the frames of a dataset that the command line names, or None."""
     if options.dataset is None:
-        if given := [k for k in ("root", "split", "val_split") if getattr(options, k)]:
+        of_datasets = ["root", "split", "val_split", "zero_region"]
+        if options.start is None:  # in fine-tuning the share is that of the shipped scenes
+            of_datasets.append("scene_share")
+        if given := [k for k in of_datasets if getattr(options, k)]:
             raise ValueError(f"--{given[0].replace('_', '-')} is of --dataset NAME")
         return None
     from ..training.readers import RealFrames
@@ -348,7 +351,7 @@ def add_dataset(p: ArgumentParser) -> None:
     p.add_argument("--val-split", help="of the dataset, to validate on besides the scenes")
     p.add_argument(
         "--scene-share",
-        type=real(-1e-9, 1, "a share"),
+        type=real(0, 1, "a share", closed=True),
         metavar="SHARE",
         help="share of the draws that are rendered scenes (default: 0.5 where --data is given beside --dataset, "
         "otherwise 0; in fine-tuning 0.5, of the shipped training scenes)",

@@ -161,7 +161,9 @@ def test_the_cost_of_fine_tuning_is_shown_and_nothing_trained(weights, scenes, t
         (["--dataset", "todd"], "--dataset todd needs --root DIR"),
         (["--accumulate", "0"], "--accumulate: expected at least 1"),
         (["--precision", "fp8"], "unknown precision 'fp8'"),
-        (["--scene-share", "2"], "expected a share"),
+        (["--scene-share", "1"], "expected a share from 0 to below 1, got 1"),
+        (["--scene-share", "0.5"], "--scene-share is of --dataset NAME"),
+        (["--zero-region"], "--zero-region is of --dataset NAME"),
     ],
 )
 def test_bad_command_lines_are_named(scenes, tmp_path, more, reason, capsys):
