@@ -104,8 +104,8 @@ def constant(step: int, recipe: Recipe) -> float:
 
 def falling(step: int, recipe: Recipe) -> float:
     """Return the rate of an epoch: half a cosine times an exponential that ends at a tenth (Paper: Sec. V-B)."""
-    epochs = max(1, recipe.steps // recipe.epoch)
-    return recipe.lr * fall_by(min(1.0, (step // recipe.epoch) / epochs))
+    epochs = math.ceil(recipe.steps / recipe.epoch)  # the last may be cut short
+    return recipe.lr * fall_by((step // recipe.epoch) / epochs)
 
 
 def fall_by(p: float, fall: float = FALL) -> float:

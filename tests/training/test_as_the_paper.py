@@ -30,7 +30,7 @@ from ditr_lite.training.as_the_paper import (
     train_region,
     trosnet_learning_rate,
 )
-from ditr_lite.training.loop import learning_rate, optimiser_of
+from ditr_lite.training.loop import Recipe, learning_rate, optimiser_of
 from ditr_lite.training.losses import autoencoder_loss, region_loss
 from ditr_lite.unet import DenoisingUNet
 
@@ -68,6 +68,13 @@ def test_paper_rate_is_a_cosine_times_an_exponential():
 def test_paper_rate_refuses_epochs_that_there_are_not(epoch, epochs):
     with pytest.raises(ValueError, match="expected an epoch from 0 to"):
         paper_learning_rate(epoch, epochs=epochs)
+
+
+@pytest.mark.parametrize("steps, epochs", [(200, 2), (250, 3), (299, 3), (40, 1)])
+def test_an_epoch_that_is_cut_short_still_learns(steps, epochs):
+    recipe = Recipe(steps, 16, PEAK, warmup=0, law="falling", epoch=100)
+    rates = [learning_rate(k, recipe) for k in range(steps)]
+    assert rates == [paper_learning_rate(k // 100, epochs=epochs) for k in range(steps)] and rates[-1] > 0
 
 
 def test_trosnet_rate_is_a_line_plus_a_sine_of_period_228():
