@@ -89,6 +89,7 @@ def render(paths: list[Path], out: Path) -> list[Path]:
         template_name="slides_template",
         extra_template_basedirs=[str(ROOT / "tools")],
         reveal_url_prefix="vendor/reveal.js",
+        reveal_theme="white",  # its letters lie beside it; the usual theme would ask Google for its own
         exclude_input_prompt=True,
         exclude_output_prompt=True,
         config={"TagRemovePreprocessor": {"enabled": True, "remove_input_tags": {HIDE}}},

@@ -3,6 +3,7 @@
 Nothing but 127.0.0.1 can be reached from this browser: a page that asks another host is found out, and gets no answer.
 """
 
+import contextlib
 import functools
 import http.server
 import json
@@ -87,13 +88,32 @@ def book(tmp_path_factory):
     return out
 
 
-@pytest.fixture(scope="session")
-def site(book):
-    """The book's address on 127.0.0.1, with a slash at its end."""
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=str(book)))
+@contextlib.contextmanager
+def served(folder):
+    """Give a folder's address on 127.0.0.1, with a slash at its end."""
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=str(folder)))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     yield f"http://127.0.0.1:{server.server_port}/"
     server.shutdown()
+
+
+@pytest.fixture(scope="session")
+def site(book):
+    """The book's address."""
+    with served(book) as address:
+        yield address
+
+
+@pytest.fixture(scope="session")
+def decks(tmp_path_factory):
+    """The address of a folder with all slides, made as ``make slides`` does."""
+    out = tmp_path_factory.mktemp("decks")
+    command = [sys.executable, str(ROOT / "tools" / "slides.py"), "--out", str(out)]
+    run = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    if run.returncode:  # reveal.js and MathJax come from npm once, which needs a network
+        (pytest.fail if os.environ.get("BROWSER_TESTS") == "required" else pytest.skip)(run.stderr)
+    with served(out) as address:
+        yield address
 
 
 class Journal:
