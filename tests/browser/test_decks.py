@@ -20,3 +20,31 @@ def test_a_deck_asks_nobody_else(driver, journal, decks, name):
     foreign, missing = journal.traffic()
     assert foreign == [] and [address for address in missing if not address.endswith(OWN_WISH)] == []
     assert [line for line in journal.complaints() if OWN_WISH not in line] == []
+
+
+LEAST_PX = 301  # beside much text a figure is not made lower than 300, and the slide scrolls
+CUT = """
+const [LEAST, done] = arguments;
+const frame = () => new Promise(next => requestAnimationFrame(() => requestAnimationFrame(next)));
+async function look() {
+  while (!window.Reveal?.isReady()) await frame();
+  await MathJax.startup.promise;
+  const cut = [];
+  for (const slide of Reveal.getSlides()) {
+    const {h, v} = Reveal.getIndices(slide);
+    Reveal.slide(h, v);
+    await frame();
+    const has_text = slide.innerText.trim() !== "", figures = [...slide.querySelectorAll("img")];
+    const rest = slide.scrollHeight - slide.clientHeight;
+    if (rest > 1 && figures.some(figure => !has_text || figure.clientHeight > LEAST)) cut.push(`${h}/${v}: ${rest} px`);
+  }
+  return cut;
+}
+look().then(done, error => done([String(error)]));
+"""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_figures_are_seen_as_a_whole(driver, decks, name):
+    show(driver, f"{decks}{name}.html")
+    assert driver.execute_async_script(CUT, LEAST_PX) == []
