@@ -27,6 +27,7 @@ NBVAL = [
 ]
 EXECUTE = ["-m", "nbconvert", "--execute", "--ExecutePreprocessor.record_timing=False"]
 EXECUTE += ["--ExecutePreprocessor.timeout=600"]
+PAGE = ["--to", "html", "--template", "page_template", "--TemplateExporter.extra_template_basedirs=tools"]
 EXTENSIONS = ROOT / "tools" / "labextensions"  # JupyterLab's, which pictures owe their alternative text
 NEWS = "@jupyterlab/apputils-extension:announcements"  # would ask the network, and the reader first
 QUIET = {"TQDM_DISABLE": "1"}
@@ -133,8 +134,7 @@ def lab(arguments):
 def demo(arguments):
     """Run the whole pipeline notebook, then print the score table of the first LIMIT test scenes."""
     install(FULL)
-    page = ["--to", "html", "--template", "classic", "--output-dir", "outputs", "notebooks/06_full_pipeline.ipynb"]
-    python(*EXECUTE, *page)
+    python(*EXECUTE, *PAGE, "--output-dir", "outputs", "notebooks/06_full_pipeline.ipynb")
     limit = os.environ.get("LIMIT") or "16"
     python("-m", "ditr_lite", "bench", "--split", "test", "--limit", limit, "--json", "outputs/demo.json", *arguments)
 

@@ -6,7 +6,9 @@ import sys
 import tomllib
 from pathlib import Path
 
+import nbformat
 import pytest
+from nbconvert import HTMLExporter
 
 import tasks
 
@@ -110,6 +112,19 @@ def test_root_may_open_the_notebooks_only_in_a_container(user, boxed, allowed, r
     monkeypatch.setattr(tasks, "in_container", lambda: boxed)
     tasks.main(["lab", "--no-browser"])
     assert ("--allow-root" in words(ran)[-1]) == allowed and words(ran)[-1].endswith("00_start_here.ipynb --no-browser")
+
+
+def test_the_page_of_the_demo_asks_no_network(ran):
+    tasks.main(["demo"])
+    page = next(line for line in words(ran) if "nbconvert" in line)
+    name = re.search(r"--execute .*--template (\S+) .*basedirs=tools --output-dir outputs ", page).group(1)
+    exporter = HTMLExporter(template_name=name, extra_template_basedirs=[str(ROOT / "tools")])
+    cell = nbformat.v4.new_markdown_cell("$x^2$, see [02](02_region_refinement.ipynb)")
+    html, _ = exporter.from_notebook_node(nbformat.v4.new_notebook(cells=[cell]))
+    assert re.findall(r"""(?:src=|import |from )['"](?:https?:)?//[^'"]+""", html) == []
+    [mathjax] = re.findall(r'<script[^>]* src="([^"]+)"', html)
+    assert (ROOT / "outputs" / mathjax).resolve().is_file()
+    assert 'href="../notebooks/02_region_refinement.ipynb"' in html
 
 
 def test_a_failed_command_ends_with_its_exit_code(monkeypatch):
