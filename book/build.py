@@ -50,10 +50,11 @@ def build(out: Path, notebooks: list[Path]) -> int:
         source.mkdir()
         gather(source, notebooks)
         options = ["-q", "-W", "--keep-going", "-c", str(HERE), "-d", str(doctrees)]
-        status = build_main([*options, str(source), str(part)])
+        status = build_main([*options, str(source), str(part / "book")])  # MyST-NB writes beside it
     if status == 0:
         shutil.rmtree(out, ignore_errors=True)
-        part.rename(out)
+        (part / "book").rename(out)
+        shutil.rmtree(part)
     return status
 
 

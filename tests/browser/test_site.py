@@ -193,6 +193,10 @@ def parsed(book):
     return {page: Page((book / page).read_text(encoding="utf-8")) for page in pages(book)}
 
 
+def test_nothing_is_left_beside_the_book(book):
+    assert [path.name for path in book.parent.iterdir()] == ["book"]
+
+
 def test_no_link_is_broken(book, parsed):
     broken = []
     for page, content in parsed.items():
