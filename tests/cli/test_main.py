@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from ditr_lite import data, files, store
-from ditr_lite.cli import main
+from ditr_lite.cli import main, parser
 from ditr_lite.cli.evaluate import DATASETS
+from ditr_lite.cli.train import folders
 from ditr_lite.evaluation import timing
 from ditr_lite.training import recipes
 
@@ -434,3 +435,11 @@ def test_a_real_frame_of_a_flat_folder(weights, tmp_path, capsys):
     assert (
         files.read_depth(tmp_path / "c.exr").shape == (480, 640) and (tmp_path / "c.ply").stat().st_size > 15 * 300_000
     )
+
+
+def test_readme_shows_the_cost_of_a_training_on_scenes_that_are_shipped(monkeypatch):
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    [line] = [line for line in lines if line.startswith("python -m ditr_lite train") and "--cost" in line]
+    monkeypatch.chdir(ROOT)
+    data, _ = folders(parser().parse_args(shlex.split(line, comments=True)[3:]))
+    assert all(folder.resolve().is_relative_to(ROOT / "data_samples") for folder in data)
