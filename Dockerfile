@@ -3,6 +3,7 @@
 #     docker run --rm -p 127.0.0.1:8888:8888 ditr_lite          (then open the address with the token that it prints)
 # The light set by default; --build-arg SET=environment.txt installs everything. About 1.5 GB with the light set.
 # To grade what students handed in, without a network and without anything else of yours in reach:
+#     mkdir -p graded      (Docker would make it as root's, and the ordinary user could not write there)
 #     docker run --rm --network none -v "$PWD/submitted:/submitted:ro" -v "$PWD/graded:/graded" ditr_lite \
 #         python tools/grade.py /submitted --csv /graded/grades.csv
 FROM python:3.12-slim

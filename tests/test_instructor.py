@@ -60,3 +60,10 @@ def test_the_guide_has_plans_boards_and_answers():
     assert len(re.findall(r"^## Plan", GUIDE, re.MULTILINE)) == 4 and GUIDE.count("**Board ") >= 5
     questions = re.findall(r"^\*\*\d+\. [^*]+\?\*\* \S", GUIDE, re.MULTILINE)
     assert len(questions) >= 8
+
+
+@pytest.mark.parametrize("name", ["Dockerfile", "notebooks/INSTRUCTOR.md"])
+def test_a_folder_that_a_container_writes_into_is_made_first(name):
+    text = (ROOT / name).read_text(encoding="utf-8")
+    [folder] = re.findall(r'-v "\$PWD/(\w+):/\w+"', text)  # without :ro
+    assert 0 < text.find(f"mkdir -p {folder}") < text.index("docker run --rm --network none")
