@@ -272,8 +272,8 @@ in `rgb.jpg` and nothing else: test_00007, 42, 64, 73, 108, 113, 120 and 132.
 ### Rooms
 
 The same command renders them. A scene stands on a bounded table, on the floor, in a corner, in a bin, on a shelf, or
-far away in a hall, 0.1 to 3 m from the camera, with a room behind it: walls, three
-quarters of them 1.5 to 6 m behind, furniture, posters. Vessels stand, lie or lean; some hold a liquid, some have a cap or a label. Mitsuba 3
+far away in a hall, 0.1 to 3 m from the camera, with a room behind it: walls, three quarters of them 1.5 to 6 m behind,
+furniture, posters. Vessels stand, lie or lean; some hold a liquid, some have a cap or a label. Mitsuba 3
 traces {paths} paths a pixel, Intel Open Image Denoise cleans the picture, then come a lens's blur and a sensor's noise.
 The infrared pair ({infrared_paths} paths a pixel) has a baseline and search range that suit the distance. Half of the
 sensors also give stray readings, far too near or far too far. `rooms.py` and `forms.py` in `ditr_lite/simulator` draw
