@@ -31,6 +31,7 @@ PAGE = ["--to", "html", "--template", "page_template", "--TemplateExporter.extra
 EXTENSIONS = ROOT / "tools" / "labextensions"  # JupyterLab's, which pictures owe their alternative text
 NEWS = "@jupyterlab/apputils-extension:announcements"  # would ask the network, and the reader first
 QUIET = {"TQDM_DISABLE": "1"}
+PROCESSES = 2  # that test at the same time, a thread each: more would not fit into a laptop's memory
 
 
 # --- the environment --------------------------------------------------------------------------------------------------
@@ -142,7 +143,9 @@ def demo(arguments):
 def test(arguments):
     """Check everything: lint, unit tests, every notebook cell by cell."""
     lint([])
-    python("-m", "pytest", *NBVAL, *arguments, extra=QUIET)
+    shared = ["--numprocesses", PROCESSES, "--dist", "loadfile"]  # the cells of a notebook stay in one kernel
+    threads = {"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")}
+    python("-m", "pytest", *NBVAL, *shared, *arguments, extra=QUIET | threads)
 
 
 def mutants(arguments):
