@@ -46,8 +46,20 @@ def check_match(attempt: Function) -> bool:
         other = [right[rows, width.start - d : width.stop - d] for d in range(largest + 1)]
         return int(np.argmin([np.abs(window - o).sum() for o in other]))
 
+    def from_one(*case):
+        return 1 + int(costs(*case)[1:].argmin())
+
+    def last_of_equals(*case):
+        return case[5] - int(costs(*case)[::-1].argmin())
+
+    def row_alone(left, right, row, column, half, largest):
+        return right_answer(left[row][None], right[row][None], 0, column, half, largest)
+
     cases = _matching_cases()
     mistakes = {
+        "disparity 0 takes part: count from 0, range(largest + 1)": from_one,
+        "of equal costs the smallest disparity counts: compare with <, not with <=": last_of_equals,
+        "one row is not enough: the window is 2 * half + 1 rows high, too": row_alone,
         "`largest` is a disparity, too: range(largest) stops one before it, write range(largest + 1)": lambda *c: int(
             costs(*c[:5], c[5] - 1).argmin()
         ),
@@ -70,10 +82,10 @@ def check_match(attempt: Function) -> bool:
 
 
 def _matching_cases() -> list[tuple]:
-    """Return arguments of the block matching: noisy shifts, the largest among them, and two that the window decides."""
+    """Return arguments of the block matching: shifts from 0 to the largest, a tie, and what the window decides."""
     rng = np.random.default_rng(3)
     cases = []
-    for d in (5, 9, 16):
+    for d in (0, 5, 9, 16):
         left = rng.integers(0, 256, (24, 60)).astype(np.uint8)
         cases.append((left, _shifted(left, d, 60, rng), 12, 34, 3, 16))
     # only the window itself lies 4 columns further left, all around it 13
@@ -85,13 +97,21 @@ def _matching_cases() -> list[tuple]:
     right = _shifted(left, 6, 0, rng)
     right[11:13, 34 - 2 - 1 : 34 - 2 + 1] = left[11:13, 33:35]
     cases.append((left, right, 12, 34, 1, 9))
+    # the window's middle row is found at 1 as well
+    right = _shifted(left, 6, 0, rng)
+    right[12, 34 - 1 - 2 : 34 - 1 + 3] = left[12, 32:37]
+    cases.append((left, right, 12, 34, 2, 9))
+    # the whole window is found at 3 and at 10
+    right = _shifted(left, 10, 0, rng)
+    right[10:15, 34 - 3 - 2 : 34 - 3 + 3] = left[10:15, 32:37]
+    cases.append((left, right, 12, 34, 2, 12))
     return cases
 
 
 def _shifted(left: np.ndarray, d: int, noise: int, rng: np.random.Generator) -> np.ndarray:
     """Return a right picture in which what lies in column u of ``left`` lies in column u - d, with noise."""
     image = rng.integers(0, 256, left.shape)
-    image[:, :-d] = left[:, d:]
+    image[:, : left.shape[1] - d] = left[:, d:]
     return np.clip(image + rng.integers(-noise, noise + 1, left.shape), 0, 255).astype(np.uint8)
 
 
@@ -138,7 +158,9 @@ def check_label(attempt: Function) -> bool:
         ),
         "the 2 % are left out": lambda d, g, r: made(d, g, r, lambda g: 0.010),
         "the 10 mm are left out": lambda d, g, r: made(d, g, r, lambda g: 0.02 * g),
-        "that tests for 10 metres: depth is in metres": lambda d, g, r: made(d, g, r, lambda g: np.maximum(10, g)),
+        "nothing is ever wrong: in metres 10 mm is 0.010, as a share 2 % is 0.02": lambda d, g, r: made(
+            d, g, r, lambda g: np.maximum(10, g)
+        ),
         "too near is wrong as well: take the absolute difference": lambda d, g, r: (
             np.where(d == 0, 2, d - g > larger(g)) + 3 * r
         ),
@@ -149,6 +171,7 @@ def check_label(attempt: Function) -> bool:
     rng = np.random.default_rng(5)
     truth = rng.uniform(0.2, 1.5, (16, 20)).astype(np.float32)
     error = rng.choice([0.002, 0.007, 0.013, 0.022, 0.05], truth.shape) * rng.choice([-1, 1], truth.shape)
+    error[::5, ::3] = 0.4  # far behind, as through glass
     depth = np.where(rng.random(truth.shape) < 0.2, 0, truth + error).astype(np.float32)
     region = rng.random(truth.shape) < 0.4
     return check("loss types", attempt, right, [(depth, truth, region)], mistakes)

@@ -43,6 +43,22 @@ def match_even(left, right, row, column, half, largest):
     return np.argmin([abs(window(left, column) - window(right, column - d)).sum() for d in range(largest + 1)])
 
 
+def match_by(cost, window=lambda half: half, first=0, last=False):
+    def attempt(left, right, row, column, half, largest):
+        high = window(half)
+        best, found = np.inf, None
+        for d in range(first, largest + 1):
+            total = 0
+            for v in range(row - high, row + high + 1):
+                for u in range(column - half, column + half + 1):
+                    total += cost(int(left[v, u]) - int(right[v, u - d]))
+            if total < best or (last and total == best):
+                best, found = total, d
+        return found
+
+    return attempt
+
+
 def refract(angle, n_from, n_to):
     return np.degrees(np.arcsin(n_from * np.sin(np.radians(angle)) / n_to))
 
@@ -102,6 +118,9 @@ WRONG = [
     (checks.check_match, lambda *c: match(*c[:5], c[5] - 1), "range(largest + 1)"),
     (checks.check_match, lambda *c: match(*c[:4], 2 * c[4], c[5]), "its whole side"),
     (checks.check_match, lambda *c: match(*c[:4], 2 * c[4] + 1, c[5]), "its whole side"),
+    (checks.check_match, match_by(abs, first=1), "disparity 0 takes part"),
+    (checks.check_match, match_by(abs, last=True), "not with <="),
+    (checks.check_match, match_by(abs, window=lambda half: 0), "one row is not enough"),
     (checks.check_match, match_even, "last row and column"),
     (checks.check_refract, lambda a, n, m: refract(a, m, n), "indices are swapped"),
     (checks.check_refract, lambda a, n, m: np.radians(refract(a, n, m)), "radians"),
@@ -113,6 +132,8 @@ WRONG = [
     (checks.check_label, label_with(lambda d, g: abs(d - g) > 0.01), "2 %"),
     (checks.check_label, label_with(lambda d, g: abs(d - g) > 0.02 * g), "10 mm"),
     (checks.check_label, label_with(lambda d, g: (abs(d - g) > 10) & (abs(d - g) > 0.02 * g)), "in metres"),
+    (checks.check_label, label_with(lambda d, g: (abs(d - g) > 0.01) & (abs(d - g) / g > 2)), "2 % is 0.02"),
+    (checks.check_label, label_with(lambda d, g: (abs(d - g) > 0.01) & (abs(d - g) > 0.2 * g)), "values differ"),
     (checks.check_label, label_with(lambda d, g: (d - g > 0.01) & (d - g > 0.02 * g)), "absolute difference"),
     (checks.check_label, lambda d, g, r: label(d, g, ~r), "swapped"),
     (checks.check_partition, lambda d, r: partition(d, ~r), "swapped"),
