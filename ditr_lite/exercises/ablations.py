@@ -78,7 +78,7 @@ def check_seeds(attempt: Function) -> bool:
 
     rng = np.random.default_rng(2)
     scenes = rng.uniform(0.02, 0.2, 12)
-    a = scenes + rng.normal(0.005, 0.003, (3, 12)) + np.array([[0], [0.004], [-0.003]])
+    a = scenes + rng.normal(0.005, 0.003, (3, 12)) + np.array([[0.004], [0], [-0.003]])
     b = scenes + rng.normal(0, 0.003, (3, 12)) + np.array([[0.001], [0], [-0.001]])
     mistakes = {
         "both variants have seeds: take the larger of the two spans": with_noise(lambda a, b: span(a)),
@@ -96,13 +96,22 @@ def check_seeds(attempt: Function) -> bool:
         "that is the span of the differences: a lucky seed of either variant is hidden": with_noise(
             lambda a, b: span(a - b)
         ),
+        "neighbouring seeds are compared: take the largest difference of any two": with_noise(
+            lambda a, b: max(np.abs(np.diff(x.mean(axis=1))).max() for x in (a, b))
+        ),
+        "the first seed is compared with the last: take the largest difference of any two": with_noise(
+            lambda a, b: max(np.abs(x[0].mean() - x[-1].mean()) for x in (a, b))
+        ),
+        "seeds of both variants are mixed: compare seeds of the same variant": with_noise(
+            lambda a, b: span(np.concatenate([a, b]))
+        ),
         "that is b - a; a - b is wanted": lambda a, b: (-right(a, b)[0], right(a, b)[1]),
         "the best seed of each is compared: average over all": lambda a, b: (
             a.mean(axis=1).min() - b.mean(axis=1).min(),
             right(a, b)[1],
         ),
     }
-    return check("seeds", attempt, right, [(a, b), (b + 0.002, a)], mistakes)
+    return check("seeds", attempt, right, [(a, b), (b + 0.002, a[[1, 0, 2]])], mistakes)
 
 
 def check_spearman(attempt: Function) -> bool:
@@ -162,7 +171,9 @@ def check_overlap(attempt: Function) -> bool:
             lambda i, j, r, s: r & s
         ),
         "only pairs above each other are counted; look sideways, too": pairs(objects, directions=1),
-        "the background is no object: both sides need a number above 0": pairs(lambda i, j, r, s: i != j),
+        "that is 1 in every frame: outline is where at least one side is in the region, shared is where neither is 0": (
+            pairs(lambda i, j, r, s: i != j)
+        ),
         "outlines of opaque objects count: at least one side must be in the region": pairs(
             objects, outline=lambda i, j, r, s: i != j
         ),
