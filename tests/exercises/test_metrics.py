@@ -82,6 +82,7 @@ MISTAKES = [
     (checks.check_interval, lambda a, b, k: interval(a, 0 * b, k), "of a alone"),
     (checks.check_interval, lambda a, b, k: interval(a, b, k)[::-1], "before low"),
     (checks.check_interval, lambda a, b, k: interval(a, b, k, (5, 95)), "90 %"),
+    (checks.check_interval, lambda a, b, k: interval(a, b, k, (0.025, 0.975)), "takes per cent"),
     (checks.check_interval, lambda a, b, k: np.percentile(a - b, (2.5, 97.5)), "single images"),
     (
         checks.check_interval,
@@ -112,6 +113,16 @@ MISTAKES = [
     (checks.check_weight, lambda w, i, o, p: weight(w, i, o, p) ** (1 / p), "no root"),
     (checks.check_weight, lambda w, i, o, p: 100 * weight(w, i, o, p), "per cent"),
 ]
+
+
+def test_rounding_of_a_tie_accuses_nobody(capsys):
+    single = np.float32
+
+    def in_float32(rmse, mae, half):
+        return single(rmse) + single(half) < single(mae) - single(half)
+
+    assert checks.check_impossible(in_float32), capsys.readouterr().out
+    assert checks.check_impossible(lambda r, m, h: r < m - 2 * h), capsys.readouterr().out
 
 
 (
