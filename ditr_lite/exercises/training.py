@@ -134,6 +134,12 @@ def check_falling_rate(attempt: Function) -> bool:
         "half a cosine: pi times the share of the way, not 2 pi": lambda e, n, a: (
             a * (1 + np.cos(2 * np.pi * e / n)) / 2 * 10.0 ** (-e / n)
         ),
+        "that is a quarter of a cosine's period; from its top to its bottom is half: (1 + cos(pi p)) / 2": (
+            lambda e, n, a: a * np.cos(np.pi * e / n / 2) * 10.0 ** (-e / n)
+        ),
+        "the cosine alone falls from 1 to -1: add 1 and halve it": lambda e, n, a: (
+            a * np.cos(np.pi * e / n) * 10.0 ** (-e / n)
+        ),
         "the peak is missing": lambda e, n, a: right(e, n, 1.0),
     }
     cases = [(50, 200, 0.01), (130, 200, 0.01), (0, 7, 2.0)]

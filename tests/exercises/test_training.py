@@ -84,6 +84,12 @@ MISTAKES = [
     ),
     (checks.check_falling_rate, lambda e, n, a: a * 10 ** (-e / n), "cosine is missing"),
     (checks.check_falling_rate, lambda e, n, a: 2 * rate(e, n, a), "halve it"),
+    (
+        checks.check_falling_rate,
+        lambda e, n, a: a * math.cos(math.pi * e / n / 2) * 10 ** (-e / n),
+        "quarter of a cosine's period",
+    ),
+    (checks.check_falling_rate, lambda e, n, a: a * math.cos(math.pi * e / n) * 10 ** (-e / n), "from 1 to -1"),
     (checks.check_falling_rate, lambda e, n, a: rate(e, n, 1.0), "peak is missing"),
 ]
 
