@@ -60,6 +60,11 @@ def check_resized_camera(attempt: Function) -> bool:
 
     mistakes = {
         "pixel centres are whole numbers, so the picture begins at -0.5: add 0.5, scale, take 0.5 away": plain,
+        "the signs are exchanged: add 0.5, scale, take 0.5 away": lambda c, w, h: (
+            *right(c, w, h)[:2],
+            (c.cx - 0.5) * w / c.width + 0.5,
+            (c.cy - 0.5) * h / c.height + 0.5,
+        ),
         "the half pixel is added but not taken away again": lambda c, w, h: (
             *right(c, w, h)[:2],
             *(x + 0.5 for x in right(c, w, h)[2:]),
@@ -175,6 +180,8 @@ def check_through_glass(attempt: Function) -> bool:
         "in glass light takes n times as long, not 1 / n": lambda d, g, n: d + (1 / n - 1) * g,
         "only the way inside the glass is slower": lambda d, g, n: n * d,
         "the glass delays the light; that is the bare distance": lambda d, g, n: d,
+        "the way back is delayed as well: half of both delays is the whole of one": lambda d, g, n: d + (n - 1) * g / 2,
+        "the camera takes half of the way out and back": lambda d, g, n: 2 * right(d, g, n),
         "that is the delay alone: add it to the distance": lambda d, g, n: (n - 1) * g,
     }
     cases = [(0.7, 0.012, 1.5), (1.2, 0.004, 1.33)]
@@ -222,6 +229,15 @@ def check_fill_share(attempt: Function) -> bool:
             (~m & (r == 0)).mean(),
         ),
         "the region is inverted": lambda r, c, m: right(r, c, ~m),
+        "each is a share of all pixels, not of the readings": lambda r, c, m: (
+            right(r, c, m)[0] / (r > 0).mean(),
+            *right(r, c, m)[1:],
+        ),
+        "each is a share of all pixels, not of those outside the region": lambda r, c, m: (
+            right(r, c, m)[0] / (~m).mean(),
+            m.mean(),
+            right(r, c, m)[2] / (~m).mean(),
+        ),
     }
     cases = [(raw, completed, region), (raw, adjusted, region)]
     return check("what happened to the pixels", attempt, right, cases, mistakes)

@@ -66,6 +66,11 @@ MISTAKES = [
         lambda c, w, h: (c.fx * w / c.width, c.fy * h / c.height, c.cx * w / c.width, c.cy * h / c.height),
         "begins at -0.5",
     ),
+    (
+        checks.check_resized_camera,
+        lambda c, w, h: (*resized(c, w, h)[:2], (c.cx - 0.5) * w / c.width + 0.5, (c.cy - 0.5) * h / c.height + 0.5),
+        "signs are exchanged",
+    ),
     (checks.check_resized_camera, lambda c, w, h: (c.fx, c.fy, *resized(c, w, h)[2:]), "focal length scales"),
     (checks.check_resized_camera, lambda c, w, h: resized(c, w, c.height * w / c.width), "one scale"),
     (checks.check_resized_camera, lambda c, w, h: (*resized(c, w, h)[:2], w / 2 - 0.5, h / 2 - 0.5), "middle"),
@@ -97,6 +102,8 @@ MISTAKES = [
     (checks.check_through_glass, lambda d, g, n: d - (n - 1) * g, "reads farther"),
     (checks.check_through_glass, lambda d, g, n: n * d, "only the way inside"),
     (checks.check_through_glass, lambda d, g, n: d - g + g / n, "not 1 / n"),
+    (checks.check_through_glass, lambda d, g, n: d + (n - 1) * g / 2, "the way back is delayed"),
+    (checks.check_through_glass, lambda d, g, n: 2 * (d - g) + 2 * n * g, "half of the way out and back"),
     (checks.check_through_glass, lambda d, g, n: d, "bare distance"),
     (checks.check_through_glass, lambda d, g, n: (n - 1) * g, "delay alone"),
     (checks.check_fill_share, lambda r, c, m: (shares(r, c, m)[0], m.mean(), (r == 0).mean()), "belong to the region"),
@@ -110,6 +117,16 @@ MISTAKES = [
         checks.check_fill_share,
         lambda r, c, m: ((~m & (r > 0)).mean(), *shares(r, c, m)[1:]),
         "compare with `completed`",
+    ),
+    (
+        checks.check_fill_share,
+        lambda r, c, m: (shares(r, c, m)[0] * r.size / (r > 0).sum(), *shares(r, c, m)[1:]),
+        "not of the readings",
+    ),
+    (
+        checks.check_fill_share,
+        lambda r, c, m: ((c == r)[~m & (r > 0)].sum() / (~m).sum(), m.mean(), (r == 0)[~m].mean()),
+        "not of those outside",
     ),
     (checks.check_fill_share, lambda r, c, m: shares(r, c, m)[::-1], "the order is"),
 ]
