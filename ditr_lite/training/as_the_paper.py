@@ -12,7 +12,6 @@ from functools import partial
 
 from torch import nn
 
-from ..boundary import Backend
 from .batches import Batch, epoch_frames, steps_of_an_epoch
 from .loop import FALL, Losses, Recipe, Share, Step, fall_by, fit
 from .losses import region_loss
@@ -20,6 +19,8 @@ from .recipes import CLASS_WEIGHTS
 from .scenes import Scenes
 
 EPOCHS, BATCH, MOMENTUM, WEIGHT_DECAY = 200, 16, 0.9, 1e-4  # stage one
+# its optimiser; nothing is clipped or averaged: the last weights are what remains
+SGD = {"optimiser": "sgd", "momentum": MOMENTUM, "weight_decay": WEIGHT_DECAY, "clip": 0.0, "decay": 0.0, "warmup": 0}
 DENOISER_BATCH, BASE_RATE = 64, 1e-6  # stage two
 PEAK = 0.01  # not in the paper; its fine-tuning rate, 1e-3, is a tenth of it
 Law = Callable[[int, int, int], float]  # (epoch, iteration, epochs) -> learning rate
@@ -80,8 +81,7 @@ def paper_recipe(part: str, scenes: int, epochs: int = EPOCHS) -> Recipe:
         raise ValueError(f"expected scenes and epochs of at least 1, got {scenes} and {epochs}")
     if part == "region":
         per_epoch = steps_of_an_epoch(scenes, BATCH)
-        sgd = {"optimiser": "sgd", "momentum": MOMENTUM, "weight_decay": WEIGHT_DECAY, "clip": 0.0, "decay": 0.0}
-        return Recipe(epochs * per_epoch, BATCH, PEAK, warmup=0, law="falling", epoch=per_epoch, **sgd)
+        return Recipe(epochs * per_epoch, BATCH, PEAK, law="falling", epoch=per_epoch, **SGD)
     rates = {"optical": BASE_RATE, "geometric": BASE_RATE, "autoencoder": scaled_rate(4.5e-6, DENOISER_BATCH)}
     if part not in rates:
         raise ValueError(f"the paper trains no {part!r}; choose region, {', '.join(rates)}")
@@ -96,8 +96,6 @@ def train_region(
     epochs: int = EPOCHS,
     batch: int = BATCH,
     rate: Law = paper_learning_rate,
-    momentum: float = MOMENTUM,
-    weight_decay: float = WEIGHT_DECAY,
     class_weights: tuple[float, ...] = CLASS_WEIGHTS,
     seed: int = 0,
     validate: Callable[[], dict[str, float]] | None = None,
@@ -111,8 +109,6 @@ def train_region(
         epochs: passes over all scenes.
         batch: scenes a step.
         rate: law of the learning rate.
-        momentum: of SGD.
-        weight_decay: of SGD.
         class_weights: of the cross-entropy: background, transparent, reflective.
         seed: of everything random.
         validate: called after every epoch in eval mode, without gradients; its figures join the row.
@@ -127,15 +123,9 @@ def train_region(
     if epochs < 1 or batch < 1 or not len(scenes):
         raise ValueError(f"expected epochs, batch and scenes of at least 1, got {epochs}, {batch}, {len(scenes)}")
     per_epoch = steps_of_an_epoch(len(scenes), batch)
-    plain = {
-        "optimiser": "sgd",
-        "clip": 0.0,
-        "decay": 0.0,
-        "warmup": 0,
-    }  # no average: the last weights are what remains
-    recipe = Recipe(epochs * per_epoch, batch, PEAK, momentum=momentum, weight_decay=weight_decay, **plain)
+    recipe = Recipe(epochs * per_epoch, batch, PEAK, **SGD)
     size = scenes.depth.shape[1:] if size is None else size
-    draw = partial(draw_epoch, scenes, size, batch, seed, None)
+    draw = partial(epoch_frames, scenes, size, batch, seed, None)
     seen: list[dict[str, float]] = []
     rates: list[float] = []
 
@@ -162,13 +152,6 @@ def train_region(
         means = {name: sum(s[name] for s in steps) / len(steps) for name in steps[0]}
         rows.append({"epoch": epoch} | last | means | {"rate": rates[(epoch + 1) * per_epoch - 1]})
     return rows
-
-
-def draw_epoch(
-    scenes: Scenes, size: tuple[int, int], count: int, seed: int, backend: Backend | None, step: int, share: Share
-) -> Batch:
-    """Draw the frames of a step of training in epochs."""
-    return epoch_frames(scenes, size, count, step, seed, backend, share)
 
 
 def score_epoch(model: nn.Module, class_weights: tuple[float, ...], drawn: Batch, step: int, share: Share) -> Losses:

@@ -159,9 +159,9 @@ def epoch_frames(
     scenes: Scenes,
     size: tuple[int, int],
     count: int,
-    step: int,
     seed: int,
-    backend: Backend | None = None,
+    backend: Backend | None,
+    step: int,
     share: Share = WHOLE,
 ) -> Batch:
     """Return what step ``step`` of training in epochs sees: whole frames, moved, turned and disturbed.

@@ -32,8 +32,8 @@ from ..config import Config, RefineConfig
 from ..region import region_probability
 from ..schedule import make_schedule
 from ..stage_two import BRANCHES, Painter, Views, paint
-from .as_the_paper import MOMENTUM, WEIGHT_DECAY, draw_epoch
-from .batches import Batch
+from .as_the_paper import SGD
+from .batches import Batch, epoch_frames
 from .loop import Losses, Recipe, Share, Step, fit
 from .losses import region_loss
 from .parts import painter_of
@@ -196,9 +196,8 @@ def finetune_region(
     if steps < 1 or batch < 1:
         raise ValueError(f"expected steps and batch of at least 1, got {steps} and {batch}")
     model.requires_grad_(True)
-    plain = {"optimiser": "sgd", "clip": 0.0, "decay": 0.0, "warmup": 0, "law": "constant"}
-    recipe = Recipe(steps, batch, rate, momentum=MOMENTUM, weight_decay=WEIGHT_DECAY, **plain)
-    draw = partial(draw_epoch, scenes, config.size, batch, seed, get_backend(boundary))
+    recipe = Recipe(steps, batch, rate, law="constant", **SGD)
+    draw = partial(epoch_frames, scenes, config.size, batch, seed, get_backend(boundary))
     rows: list[dict[str, float]] = []
     score = partial(score_final, model, paints, config, rmse_weight, straight_through)
     fit("fine-tuning", model, Step(draw, score), recipe, None, seed=seed, watch=lambda _, losses: rows.append(losses))
