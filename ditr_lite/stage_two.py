@@ -109,7 +109,7 @@ def paint(
         views.rgb, views.depth_n, views.valid, views.region, views.guide, painter.evidence
     )  # (B, 9, H, W), (B, 1, H, W), (B, 1, H/4, W/4)
     # 2. Encode what is known: L = Enc(D_in) (I3), and the picture: F(x) (Sec. IV-C, "Feature Extractor")
-    masked = painter.autoencoder.encode(_cl(filled))  # (B, C, H/4, W/4)
+    masked = painter.autoencoder.encode(cl(filled))  # (B, C, H/4, W/4)
     features = encode_picture(painter, image, views.rgb)
     # 3. Denoise from L_T ~ N(0, I) (Eq. 7) with the network of Eq. 8
     latents = denoise(painter.net, masked, known, features, schedule, steps, samples, prediction, generator, sampler)
@@ -124,12 +124,12 @@ def paint(
 
 def encode_picture(painter: Painter, image: Tensor, rgb: Tensor) -> list[Tensor]:
     """Return F(x): the conditioning image (B, 9, H, W) and pretrained features of rgb (B, 3, H, W), level by level."""
-    return painter.net.features(_cl(image), colour_features(painter.encoder, rgb))
+    return painter.net.features(cl(image), colour_features(painter.encoder, rgb))
 
 
 def colour_features(encoder: nn.Module | None, rgb: Tensor) -> list[Tensor]:
     """Return pretrained features of pictures (B, 3, H, W) at strides 4, 8 and 16; none without an encoder."""
-    return [] if encoder is None else encoder(_cl(rgb), levels=4)[1:]
+    return [] if encoder is None else encoder(cl(rgb), levels=4)[1:]
 
 
 def denoise(
@@ -182,8 +182,9 @@ def sharpen(detail: nn.Module, decoded: Tensor, views: Views) -> Tensor:
     count = len(views.rgb)
     mean = decoded.unflatten(0, (-1, count)).mean(dim=0)  # (S B, 1, H, W) -> (B, 1, H, W)
     given = detail_input(mean, views.depth_n, views.valid, views.region, views.rgb, views.boundary)
-    return detail.spread(_cl(given), decoded)
+    return detail.spread(cl(given), decoded)
 
 
-def _cl(x: Tensor) -> Tensor:
+def cl(x: Tensor) -> Tensor:
+    """Return a tensor in the memory format that convolutions are fastest in, channels last."""
     return x.contiguous(memory_format=torch.channels_last)

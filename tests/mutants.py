@@ -634,7 +634,7 @@ FRAMES = [
             "views.valid, views.region, views.rgb",
             "views.valid, 1 - views.region, views.rgb",
         ),
-        ("colour features at the wrong strides", "encoder(_cl(rgb), levels=4)[1:]", "encoder(_cl(rgb), levels=4)[:3]"),
+        ("colour features at the wrong strides", "encoder(cl(rgb), levels=4)[1:]", "encoder(cl(rgb), levels=4)[:3]"),
         (
             "samples and views mixed",
             "mean = decoded.unflatten(0, (-1, count)).mean(dim=0)",

@@ -33,7 +33,7 @@ from torch.func import functional_call
 from ..conditioning import CHANNELS, Bounds, condition, fill
 from ..config import Config
 from ..evaluation.protocols import fitted
-from ..stage_two import Views
+from ..stage_two import Views, cl
 from ..training.batches import Batch
 from ..training.losses import ELSEWHERE, orientation_loss
 from .gradient_solve import solve
@@ -106,7 +106,7 @@ class Regression(Idea):
     def forward(self, views: Views, colour: Colour) -> Tensor:
         """Add a residual to the readings and their fill."""
         image, everything = seen(views)
-        return everything + self.net(_cl(image), colour)
+        return everything + self.net(cl(image), colour)
 
 
 class RgbOnly(Idea):
@@ -126,7 +126,7 @@ class RgbOnly(Idea):
 
     def forward(self, views: Views, colour: Colour) -> Tensor:
         """Predict depth from colour."""
-        return self.net(_cl(views.rgb), colour)
+        return self.net(cl(views.rgb), colour)
 
     def metres(self, views: Views, colour: Colour, bounds: Bounds) -> Tensor:
         """Return depth in metres, aligned in metres if so asked."""
@@ -150,7 +150,7 @@ class NormalsOptimisation(Idea):
 
     def predicted(self, views: Views, colour: Colour) -> Tensor:
         """Return (B, 3, H, W): gradients to the right and downwards, and the logit of an edge."""
-        return self.net(_cl(seen(views)[0]), colour)
+        return self.net(cl(seen(views)[0]), colour)
 
     def metres(self, views: Views, colour: Colour, bounds: Bounds) -> Tensor:
         """Solve view by view."""
@@ -175,7 +175,7 @@ class TwoStreamConfidence(Idea):
     def forward(self, views: Views, colour: Colour) -> Tensor:
         """Blend."""
         image, everything = seen(views)
-        return blend(self.net(_cl(image), colour), everything)
+        return blend(self.net(cl(image), colour), everything)
 
 
 def blend(out: Tensor, sensor: Tensor) -> Tensor:
@@ -215,7 +215,7 @@ class ImplicitRays(Idea):
     def ask(self, views: Views, colour: Colour) -> tuple[Tensor, Tensor]:
         """Return logits of where each ray ends and the depth of its points, (B, POINTS, H, W) each."""
         image, everything = seen(views)
-        rays = self.net.out(self.net.body(_cl(image), colour))  # (B, C, h, w), h = H/2
+        rays = self.net.out(self.net.body(cl(image), colour))  # (B, C, h, w), h = H/2
         away = (self.points[None, :, None, None] - F.avg_pool2d(everything, 2)).abs()  # (B, K, h, w)
         hidden = (
             rays[:, None] + self.at[None, :, :, None, None] + away[:, :, None] * self.near[None, None, :, None, None]
@@ -303,7 +303,7 @@ class PointCompletion(Idea):
     def refine(self, views: Views, colour: Colour, projected: Tensor) -> Tensor:
         """Correct a projected cloud (B, 1, H, W) with colour."""
         image, _ = seen(views)
-        return projected + self.net(_cl(torch.cat([image, projected], dim=1)), colour)
+        return projected + self.net(cl(torch.cat([image, projected], dim=1)), colour)
 
     def losses(self, views: Views, colour: Colour, batch: Batch, paint: Tensor) -> Losses:
         """Score the refined depth, the projected cloud, and the cloud against that of the truth (Chamfer)."""
@@ -401,7 +401,7 @@ class SelfSupervised(Idea):
     def forward(self, views: Views, colour: Colour) -> Tensor:
         """Predict from colour, then scale and shift."""
         trusted = views.valid * (1 - views.region)
-        return align(self.net(_cl(views.rgb), colour), views.depth_n, trusted)
+        return align(self.net(cl(views.rgb), colour), views.depth_n, trusted)
 
     def losses(self, views: Views, colour: Colour, batch: Batch, paint: Tensor) -> Losses:
         """Score against the readings that are trusted, and by smoothness."""
@@ -461,7 +461,3 @@ def build_idea(name: str, config: Config) -> Idea:
     if name not in IDEAS:
         raise ValueError(f"unknown peer {name!r}; choose one of {', '.join(IDEAS)}")
     return IDEAS[name](config)
-
-
-def _cl(x: Tensor) -> Tensor:
-    return x.contiguous(memory_format=torch.channels_last)

@@ -14,7 +14,7 @@ from .. import diffusion
 from ..conditioning import CHANNELS, fill
 from ..config import Config
 from ..schedule import NoiseSchedule, make_schedule
-from ..stage_two import Painter, denoise, encode_picture
+from ..stage_two import Painter, cl, denoise, encode_picture
 from ..training import recipes
 from ..training.batches import Batch
 from ..training.loop import Losses, Share
@@ -66,8 +66,8 @@ def ask(painter: Painter, config: Config, drawn: tuple[Batch, bool], share: Shar
     (image, filled, known), paint = recipes.branch_inputs("optical", batch, config, evidence=evidence)
     where = paint * batch.gt_known
     with torch.no_grad():
-        masked = painter.autoencoder.encode(recipes.cl(filled))
-        x0 = painter.autoencoder.encode(recipes.cl(fill(batch.gt_n, batch.gt_known)))
+        masked = painter.autoencoder.encode(cl(filled))
+        x0 = painter.autoencoder.encode(cl(fill(batch.gt_n, batch.gt_known)))
     t, eps = recipes.noise_of(x0, schedule.timesteps, share)
     x_t = diffusion.q_sample(x0, t, eps, schedule)
     mask = F.avg_pool2d(where, STRIDE) + 0.05

@@ -16,10 +16,11 @@ from ..boundary import boundaries_from_labels, depth_boundaries, precision_recal
 from ..boundary.learned import begin_with_stage_one, build_nets, depth_input, thin
 from ..conditioning import to_tensor
 from ..config import from_dict, preset
+from ..stage_two import cl
 from ..store import CARD, load_part, read_card, save_part
 from .augment import colours
 from .loop import ENGINE, Engine, Losses, Recipe, Share, Step, fit, is_first, wait_for_all
-from .recipes import cl, rng_of
+from .recipes import rng_of
 from .scenes import Scenes, checksum, load_scenes
 from .views import lose
 

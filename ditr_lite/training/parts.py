@@ -17,7 +17,7 @@ from ..config import Config, from_dict, to_dict
 from ..metrics import iou
 from ..pipeline import build
 from ..region import region_probability
-from ..stage_two import BRANCHES, Painter
+from ..stage_two import BRANCHES, Painter, cl
 from ..store import CARD, WEIGHTS, copy_part, copy_weights, load_part, read_card, save_part
 from . import recipes
 from .batches import Batch, frames_in_order, windows_in_order
@@ -264,7 +264,7 @@ def some_latents(model: nn.Module, pool: Pool, config: Config, batches: int = 20
     latents = []
     for k in range(batches):
         batch = recipes.branch_batch("optical", pool, config, 8, recipes.rng_of(1, k))
-        latents.append(model.encode(recipes.cl(fill(batch.gt_n, batch.gt_known))))
+        latents.append(model.encode(cl(fill(batch.gt_n, batch.gt_known))))
     return torch.cat(latents)
 
 
@@ -292,7 +292,7 @@ def validate_autoencoder(model: nn.Module, config: Config, scenes: Scenes) -> di
     region, holes = [], []
     for batch in held_out_batches("optical", scenes, config):
         batch = batch.to(device_of(model))
-        decoded = model(recipes.cl(fill(batch.gt_n, batch.gt_known)))["reconstruction"]
+        decoded = model(cl(fill(batch.gt_n, batch.gt_known)))["reconstruction"]
         error = batch.relative_error(decoded)
         region += root_mean_square(error, batch.region * batch.gt_known)
         holes += root_mean_square(error, (1 - batch.region) * (1 - batch.valid) * batch.gt_known)

@@ -22,7 +22,7 @@ from ..config import Config
 from ..detail import detail_input
 from ..region import ColourEncoder
 from ..schedule import NoiseSchedule, make_schedule
-from ..stage_two import Painter, encode_picture
+from ..stage_two import Painter, cl, encode_picture
 from .batches import Batch, draw_frames, draw_windows
 from .loop import WHOLE, Losses, Recipe, Share, Step
 from .losses import autoencoder_loss, region_loss
@@ -300,8 +300,3 @@ def score_detail(
     mean_square = (error.square() * weight).sum(dim=(1, 2, 3)) / count.clamp(min=1)
     rms = ((mean_square + 1e-8).sqrt() * some).sum() / views
     return {"total": 10 * (l1 + rms), "l1": l1, "rms": rms}
-
-
-def cl(x: Tensor) -> Tensor:
-    """Return a tensor in the memory format that convolutions are fastest in."""
-    return x.contiguous(memory_format=torch.channels_last)
