@@ -332,6 +332,7 @@ def test_what_breaks_programs_does_not_break_this_one(check, monkeypatch):
         pytest.skip("Windows limits no file's size, and has other permissions and signals")
     monkeypatch.setattr(soak, "DAMAGES", 24)
     monkeypatch.setattr(soak, "TRAINING_KILLS", 2)
+    monkeypatch.setattr(soak, "PART", "autoencoder")
     monkeypatch.setattr(soak, "STEPS", 20)
     found = soak.run(check, 0)
     assert found["right"] == found["tried"] > 1, found

@@ -54,7 +54,8 @@ KILLS = 3
 DAMAGES = 60
 PATIENCE_S = 600  # that nothing takes which is not stuck, on a machine that is busy with other things, too
 TRAINING_KILLS = 10
-STEPS, EVERY = 60, 10  # of every part of the training that is killed, and between its checkpoints
+PART = "all"  # of the training that is killed
+STEPS, EVERY = 60, 10  # of every part, and between its checkpoints
 SMALL = Recipe(steps=12, batch=1, lr=0.05, warmup=3, decay=0.9)  # of a training of milliseconds
 
 
@@ -259,10 +260,10 @@ def few_scenes(folder: Path) -> Path:
 
 
 def training(scenes: Path, folder: Path, *more: object) -> subprocess.Popen:
-    """Start to train all parts of the tiny preset, with checkpoints every few steps; ``more`` overrules."""
+    """Start to train :data:`PART` of the tiny preset, with checkpoints every few steps; ``more`` overrules."""
     frames = ("--data", scenes / "train", "--val", scenes / "val")
     folders = ("--out", folder / "weights", "--work", folder / "work")
-    recipe = ("--preset", "tiny", "--steps", STEPS, "--every", EVERY, "--batch", 2)
+    recipe = ("--preset", "tiny", "--part", PART, "--steps", STEPS, "--every", EVERY, "--batch", 2)
     return started("train", *recipe, *frames, *folders, *more)
 
 

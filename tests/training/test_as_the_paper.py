@@ -153,7 +153,7 @@ def test_frames_are_brought_to_the_size_asked_for(scenes):
 # ---- stage two
 
 PAPER = preset("paper")
-SIZE = (64, 96)  # the widths are the paper's, the image is small
+SIZE = (32, 64)  # the widths are the paper's, the image is small
 
 
 def test_the_stated_rate_and_the_scaled_one():
