@@ -267,7 +267,7 @@ METRICS = [
     *family(
         "averages and intervals",
         "evaluation/statistics",
-        ("interval: 90 per cent", "nanpercentile(drawn, [2.5, 97.5])", "nanpercentile(drawn, [5.0, 95.0])"),
+        ("interval: 90 per cent", "[2.5 / among, 100 - 2.5 / among]", "[5.0 / among, 100 - 5.0 / among]"),
         ("ratio: mean of ratios", "x.mean(axis=axis) / y.mean(axis=axis)", "(x / y).mean(axis=axis)"),
         ("pairs are torn apart", '"paired": paired,', '"paired": False,'),
     ),
