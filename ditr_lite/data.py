@@ -61,7 +61,7 @@ class Sample:
 LABELS = ("material", "instances", "loss", "cause", "ir_left", "ir_right")
 
 
-def save_sample(sample: Sample, folder: Path | str, jpeg_quality: int = 92) -> None:
+def save_sample(sample: Sample, folder: Path | str) -> None:
     """Write ``sample`` as a folder of images and ``meta.json``; it appears whole or not at all.
 
     Files: ``rgb.jpg``, ``depth.png`` and ``depth_gt.png`` (16 bit, millimetres), 8-bit PNG labels, ``meta.json``.
@@ -69,7 +69,6 @@ def save_sample(sample: Sample, folder: Path | str, jpeg_quality: int = 92) -> N
     Args:
         sample: to write.
         folder: for its files; a sample that is there is replaced, anything else refused.
-        jpeg_quality: of the colour picture.
 
     Raises:
         ValueError: for a picture that cannot be encoded, or a folder that holds something else.
@@ -90,7 +89,7 @@ def save_sample(sample: Sample, folder: Path | str, jpeg_quality: int = 92) -> N
     with folder_written_whole(folder) as part:
         for name, image in images.items():
             jpeg = name.endswith(".jpg")
-            options = (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality) if jpeg else (cv2.IMWRITE_PNG_COMPRESSION, 9)
+            options = (cv2.IMWRITE_JPEG_QUALITY, 92) if jpeg else (cv2.IMWRITE_PNG_COMPRESSION, 9)
             write_picture(part / name, image, options)
         (part / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
 

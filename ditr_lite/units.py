@@ -14,6 +14,7 @@ MIN_DEPTH_M = 0.01  # no depth camera reads nearer: where most readings are, the
 MAX_SAMPLES = 256  # draws of one frame: more would not fit into memory, and their mean would not change
 MAX_SEED = 2**63 - 1
 USUAL_M = (0.15, 5.0)  # where the median reading of an indoor frame lies; outside, a warning
+NEIGHBOURHOOD = 5  # pixels a side, of a reading that may be a stray
 STRAY_RATIO = 1.25  # a reading that differs from nearly all its neighbours by this factor belongs to no surface
 MILLIMETRES = 0.001  # metres per unit
 STRIP = 2**20  # pixels of a large map that are worked on at a time, so that no copy of the whole is needed
@@ -53,7 +54,7 @@ def strips(shape: tuple[int, int]) -> Iterator[slice]:
         yield slice(start, min(start + rows, shape[0]))
 
 
-def strays(depth: np.ndarray, window: int = 5) -> np.ndarray:
+def strays(depth: np.ndarray) -> np.ndarray:
     """Find readings that belong to no surface: most readings around them differ by more than :data:`STRAY_RATIO`.
 
     They are hidden from the networks and given back in the end. A reading with few others around it cannot be judged,
@@ -61,31 +62,29 @@ def strays(depth: np.ndarray, window: int = 5) -> np.ndarray:
 
     Args:
         depth: (H, W) metres, 0 = missing.
-        window: side of the neighbourhood in pixels, odd.
 
     Returns:
         (H, W) bool.
     """
-    half, found = window // 2, np.zeros(depth.shape, bool)
+    half, found = NEIGHBOURHOOD // 2, np.zeros(depth.shape, bool)
     for rows in strips(depth.shape):
         around = depth[max(rows.start - half, 0) : rows.stop + half]
         first = rows.start - max(rows.start - half, 0)
-        found[rows] = _strays(around, window)[first : first + rows.stop - rows.start]
+        found[rows] = _strays(around)[first : first + rows.stop - rows.start]
     return found
 
 
-def _strays(depth: np.ndarray, window: int) -> np.ndarray:
+def _strays(depth: np.ndarray) -> np.ndarray:
     valid = depth > 0
     logs = np.log(np.where(valid, depth, 1.0)).astype(np.float32)
-    padded = np.pad(np.where(valid, logs, np.nan), window // 2, constant_values=np.nan)
+    padded = np.pad(np.where(valid, logs, np.nan), NEIGHBOURHOOD // 2, constant_values=np.nan)
     alike = np.zeros(depth.shape, np.int16)
     read = np.zeros(depth.shape, np.int16)
-    for dy in range(window):
-        for dx in range(window):
-            other = padded[dy : dy + depth.shape[0], dx : dx + depth.shape[1]]
-            alike += np.abs(other - logs) < np.log(STRAY_RATIO)  # False for NaN
-            read += ~np.isnan(other)
-    enough = read > window * window // 3
+    for dy, dx in np.ndindex(NEIGHBOURHOOD, NEIGHBOURHOOD):
+        other = padded[dy : dy + depth.shape[0], dx : dx + depth.shape[1]]
+        alike += np.abs(other - logs) < np.log(STRAY_RATIO)  # False for NaN
+        read += ~np.isnan(other)
+    enough = read > NEIGHBOURHOOD**2 // 3
     return valid & enough & (alike - 1 < 0.2 * read)
 
 

@@ -468,7 +468,7 @@ REGION = [
         "studies/robustness",
         ("distance: not relative", "frame.depth_gt[scored]) / scale, 6)", "frame.depth_gt[scored]) * scale, 6)"),
         ("strays: on glass", "(sample.depth > 0) & ~sample.region)", "(sample.depth > 0) & sample.region)"),
-        ("room: its glass counts", "sample.region & (column > share + border)", "sample.region"),
+        ("room: its glass counts", "sample.region & (column > share + BORDER)", "sample.region"),
     ),
     *family(
         "prices of mistakes",

@@ -77,12 +77,11 @@ class ExactBoundary:
     Args:
         instances: (H, W) int, 0 = background.
         depth_gt: (H, W) float metres, 0 = unknown.
-        jump: see :func:`depth_boundaries`.
     """
 
-    def __init__(self, instances: np.ndarray, depth_gt: np.ndarray, jump: float = 0.01):
+    def __init__(self, instances: np.ndarray, depth_gt: np.ndarray):
         self.colour = boundaries_from_labels(instances)
-        self.depth = depth_boundaries(instances, depth_gt, jump)
+        self.depth = depth_boundaries(instances, depth_gt)
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Return all outlines for a colour image, those with a depth jump for a depth map; (H, W) bool."""

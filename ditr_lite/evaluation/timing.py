@@ -225,7 +225,7 @@ def format_latency(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def peak_mb(fn: Callable[[], object], interval: float = INTERVAL_S) -> float:
+def peak_mb(fn: Callable[[], object]) -> float:
     """Return the largest resident memory of this process, in MB (1e6 bytes), while ``fn`` runs."""
     try:
         import psutil
@@ -235,7 +235,7 @@ def peak_mb(fn: Callable[[], object], interval: float = INTERVAL_S) -> float:
     seen = [process.memory_info().rss]
 
     def watch() -> None:
-        while not done.wait(interval):
+        while not done.wait(INTERVAL_S):
             seen.append(process.memory_info().rss)
 
     watcher = threading.Thread(target=watch, daemon=True)
@@ -334,19 +334,18 @@ def compare_unets(ditr: Ditr, runs: int = 7) -> dict[str, dict[str, float]]:
     return rows
 
 
-def throughput(ditr: Ditr, steps: int = 3, data: Path | str = SAMPLES / "train") -> dict[str, Any]:
+def throughput(ditr: Ditr, steps: int = 3) -> dict[str, Any]:
     """Time training steps (forward, backward, update) of the optical branch with the recipe's batch.
 
     Args:
         ditr: whose configuration and autoencoder are used; its networks are not changed.
         steps: timed, after one that is thrown away; their median counts.
-        data: folder of rendered scenes.
     """
     recipe, config = recipes.RECIPES["optical"], ditr.config
     net = type(ditr.parts["optical"])(config.unet, config.autoencoder.latent_channels, len(CHANNELS))
     net = net.to(memory_format=torch.channels_last)
     painter = replace(painter_of("optical", ditr.parts, config), net=net)
-    loss = recipes.branch_step("optical", painter, Pool([load_scenes(data)]), config, recipe, ditr.backend)
+    loss = recipes.branch_step("optical", painter, Pool([load_scenes(SAMPLES / "train")]), config, recipe, ditr.backend)
     optimiser, count = torch.optim.AdamW(net.parameters(), lr=recipe.lr), iter(range(steps + 1))
 
     def step() -> None:

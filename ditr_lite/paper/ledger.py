@@ -30,9 +30,9 @@ def committed() -> dict:
     return json.loads(RESULTS.read_text(encoding="utf-8"))
 
 
-def _mean_rmse_mm(method: str, pixels: str = "optical") -> float:
-    """Return the committed RMSE, the mean over images, in millimetres."""
-    return 1000 * committed()["summary"]["methods"][method][pixels]["rmse"]
+def _mean_rmse_mm(method: str) -> float:
+    """Return the committed optical RMSE, the mean over images, in millimetres."""
+    return 1000 * committed()["summary"]["methods"][method]["optical"]["rmse"]
 
 
 def noise_scale() -> str:

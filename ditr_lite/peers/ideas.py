@@ -345,10 +345,10 @@ def project(points: Tensor, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
     return (depth / weight.clamp(min=1e-6))[:, None], share[:, None]
 
 
-def chamfer(points: Tensor, truth: Tensor, every: int = 6) -> Tensor:
+def chamfer(points: Tensor, truth: Tensor) -> Tensor:
     """Return the mean distance of points (B, 3, N) from the nearest true one and the reverse, of every sixth point."""
-    there = torch.cdist(points[..., ::every].transpose(1, 2), truth.transpose(1, 2)).amin(dim=2)
-    back = torch.cdist(truth[..., ::every].transpose(1, 2), points.transpose(1, 2)).amin(dim=2)
+    there = torch.cdist(points[..., ::6].transpose(1, 2), truth.transpose(1, 2)).amin(dim=2)
+    back = torch.cdist(truth[..., ::6].transpose(1, 2), points.transpose(1, 2)).amin(dim=2)
     return there.mean() + back.mean()
 
 

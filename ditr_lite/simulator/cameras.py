@@ -223,11 +223,11 @@ def reference(pattern: np.ndarray, camera: Camera) -> np.ndarray:
     return np.clip(cv2.GaussianBlur(seen, (0, 0), 0.8) * 200, 0, 255).astype(np.uint8)
 
 
-def levelled(image: np.ndarray, window: int = 15) -> np.ndarray:
+def levelled(image: np.ndarray) -> np.ndarray:
     """Return (h, w) uint8 with the local mean taken away and the local contrast made alike."""
     image = image.astype(np.float32)
-    mean = cv2.GaussianBlur(image, (0, 0), window / 3)
-    spread = np.sqrt(np.maximum(cv2.GaussianBlur(image**2, (0, 0), window / 3) - mean**2, 0))
+    mean = cv2.GaussianBlur(image, (0, 0), 5)
+    spread = np.sqrt(np.maximum(cv2.GaussianBlur(image**2, (0, 0), 5) - mean**2, 0))
     return np.clip(128 + 45 * (image - mean) / (spread + 4), 0, 255).astype(np.uint8)
 
 

@@ -110,10 +110,10 @@ def by_seed(report: Mapping[str, Any], step: str, key: str) -> np.ndarray:
     return np.array([row for row in rows if None not in row]).T
 
 
-def best_peer(report: Mapping[str, Any], key: str = "optical") -> str:
-    """Return the peer with the smallest mean error on a pixel set of a split."""
+def best_peer(report: Mapping[str, Any]) -> str:
+    """Return the peer with the smallest mean optical error of a split."""
     mean = report["mean"]
-    return min((n for n in IDEAS if n in mean and mean[n][key]), key=lambda n: mean[n][key][0])
+    return min((n for n in IDEAS if n in mean and mean[n]["optical"]), key=lambda n: mean[n]["optical"][0])
 
 
 def ratio_verdict(report: Mapping[str, Any]) -> str:
@@ -290,18 +290,17 @@ def read_failures(report: Mapping[str, Any], folder: Path | str = PICTURES) -> l
     ]
 
 
-def error_character(depth: np.ndarray, truth: np.ndarray, region: np.ndarray, border: int = 2) -> dict[str, float]:
+def error_character(depth: np.ndarray, truth: np.ndarray, region: np.ndarray) -> dict[str, float]:
     """Say of what kind an error inside a region is.
 
     Args:
         depth: (H, W) completed, metres.
         truth: (H, W) metres, 0 = unknown.
         region: (H, W) bool.
-        border: width in pixels of what counts as near the region's outline.
 
     Returns:
         in metres: ``rmse``; ``offset``, the mean error, above 0 for too far; ``shape``, the RMSE without the offset;
-        ``outline``, the RMSE near the outline of the region (0 where nothing of it is known).
+        ``outline``, the RMSE within two pixels of the region's outline (0 where nothing of it is known).
 
     Raises:
         ValueError: when no pixel of the region has a truth.
@@ -310,7 +309,7 @@ def error_character(depth: np.ndarray, truth: np.ndarray, region: np.ndarray, bo
     if not known.any():
         raise ValueError("no pixel of the region has a true depth; choose another frame")
     error = np.where(known, depth.astype(np.float64) - truth, 0)
-    inner = cv2.erode(region.astype(np.uint8), np.ones((2 * border + 1,) * 2, np.uint8)) > 0
+    inner = cv2.erode(region.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     near = known & ~inner
     offset = float(error[known].mean())
     return {

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
+from tqdm.auto import tqdm
 
 from .. import metrics
 from ..baselines import nearest
@@ -180,22 +181,18 @@ def remedy_errors(ditr: Ditr, sample: Sample, remedies: Sequence[Remedy] = REMED
     return rows
 
 
-def score_remedies(ditr: Ditr, samples: Sequence[Sample], progress: bool = True) -> list[dict[str, Any]]:
+def score_remedies(ditr: Ditr, samples: Sequence[Sample]) -> list[dict[str, Any]]:
     """Score every remedy on every frame.
 
     Args:
         ditr: the system.
         samples: with truth and region.
-        progress: show a bar.
 
     Returns:
         for each of :data:`REMEDIES` its texts, the errors ``before_m`` and ``after_m``, one a frame, and ``minus_m``,
         the mean of after - before with its paired 95 % interval; None where no frame has such pixels.
     """
-    from tqdm.auto import tqdm
-
-    bar = {} if progress else {"disable": True}
-    scored = [remedy_errors(ditr, sample) for sample in tqdm(samples, desc="frames", unit="frame", **bar)]
+    scored = [remedy_errors(ditr, sample) for sample in tqdm(samples, desc="frames", unit="frame")]
     rows = []
     for k, remedy in enumerate(REMEDIES):
         before, after = ([frame[k][key] for frame in scored] for key in ("before_m", "after_m"))

@@ -27,6 +27,7 @@ from ..pipeline import Ditr, compose
 from ..units import clean_depth
 
 Condition = Callable[[Sample, float], Sample]
+BORDER = 0.12  # of the width, beside a room behind, in which nothing is scored
 STEREO_NOISE = 0.004  # per metre: standard deviation of stereo depth is this times z squared, as in our scenes
 BESIDE = "keep_and_fill"  # the baseline that is scored on the same frames
 
@@ -120,7 +121,6 @@ def score_conditions(
     ditr: Ditr,
     samples: Sequence[Sample],
     conditions: Mapping[str, tuple] = CONDITIONS,
-    given_region: bool = False,
     progress: bool = True,
 ) -> dict[str, Any]:
     """Score DITR and one baseline under every condition and strength.
@@ -129,7 +129,6 @@ def score_conditions(
         ditr: the system.
         samples: frames with truth and region.
         conditions: as :data:`CONDITIONS`.
-        given_region: hand over the true region.
         progress: show a bar.
 
     Returns:
@@ -141,7 +140,7 @@ def score_conditions(
     out = {name: {"axis": axis, "neutral": zero, "rows": []} for name, (_, _, zero, axis) in conditions.items()}
     for name, strength in tqdm(jobs, desc="conditions", **({} if progress else {"disable": True})):
         frames = [conditions[name][0](sample, strength) for sample in samples]
-        scored = [_score(ditr, frame, given_region) for frame in frames]
+        scored = [_score(ditr, frame) for frame in frames]
         row: dict[str, Any] = {"strength": strength, "finite": all(s["finite"] for s in scored)}
         for method in ("ditr", BESIDE):
             means = {key: mean_known([s[method][key] for s in scored]) for key in ("optical", "outside")}
@@ -150,8 +149,8 @@ def score_conditions(
     return out
 
 
-def _score(ditr: Ditr, frame: Sample, given: bool) -> dict[str, Any]:
-    result = ditr(frame.rgb, frame.depth, frame.region if given else None)
+def _score(ditr: Ditr, frame: Sample) -> dict[str, Any]:
+    result = ditr(frame.rgb, frame.depth)
     filled = REGISTRY[BESIDE](frame.rgb, frame.depth, result.region)
     plain = compose(frame.depth, filled, filled, result.region)
     typical = float(np.median(frame.depth_gt[frame.depth_gt > 0]))
@@ -177,13 +176,13 @@ class Disturbed:
     scale: float = 1.0
 
 
-def room_behind(sample: Sample, metres: float, share: float = 0.15, border: float = 0.12) -> Disturbed:
-    """Put the left ``share`` of the picture ``metres`` away; the region counts from ``border`` farther right on."""
+def room_behind(sample: Sample, metres: float, share: float = 0.15) -> Disturbed:
+    """Put the left ``share`` of the picture ``metres`` away; the region counts from :data:`BORDER` farther right on."""
     column = np.arange(sample.depth.shape[1]) / sample.depth.shape[1]
     behind = np.broadcast_to(column < share, sample.depth.shape)
     depth = np.where(behind & (sample.depth > 0), np.float32(metres), sample.depth)
     truth = np.where(behind, np.float32(metres), sample.depth_gt)
-    region = sample.region & (column > share + border)
+    region = sample.region & (column > share + BORDER)
     return Disturbed(replace(sample, depth=depth, depth_gt=truth, region=region, material=None), region)
 
 

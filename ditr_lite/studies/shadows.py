@@ -87,16 +87,15 @@ def measure_shadows(depth_gt: np.ndarray, camera: Camera, offset_m: float, every
     return Shadows(measured, predicted, np.full(len(measured), offset_m), clear > 0)
 
 
-def measure_scenes(samples: Iterable[Sample], offsets_m: Iterable[float], every: int = 16) -> Shadows:
+def measure_scenes(samples: Iterable[Sample], offsets_m: Iterable[float]) -> Shadows:
     """Return the shadows of many scenes and offsets together.
 
     Args:
         samples: with ground truth and camera.
         offsets_m: in metres; each is applied to each scene.
-        every: distance of the sampled rows.
     """
     offsets_m = tuple(offsets_m)
-    found = [measure_shadows(s.depth_gt, s.camera, b, every) for s in samples for b in offsets_m]
+    found = [measure_shadows(s.depth_gt, s.camera, b) for s in samples for b in offsets_m]
     return Shadows(*map(np.concatenate, zip(*found, strict=True)))
 
 

@@ -222,13 +222,14 @@ def format_flying(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     return "\n".join(lines)
 
 
-def verdicts(rows: Mapping[str, Sequence[Mapping[str, Any]]], key: str = "optical") -> str:
+def verdicts(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     """Say whether more steps buy what they promise: less CRPS, fewer flying pixels, draws that differ as they err.
 
     Of the numbers of steps that saw all frames, the largest is set beside the smallest.
     """
     start, first = next(iter(rows.items()))
     steps = [s for s, frames in rows.items() if len(frames) == len(first)][-1]
+    key = "optical"
     gaps, count = against_one(rows, steps, key), max(map(int, rows[steps][0]["mean"]))
     lines = [f"{steps} steps against {start}, {key}, {len(first)} frames:"]
     for name, says in MEASURES.items():

@@ -155,7 +155,7 @@ def score_swaps(
     return rows
 
 
-def summarise_swaps(rows: Rows, swaps: Mapping[str, Swap] = SWAPS) -> dict[str, Any]:
+def summarise_swaps(rows: Rows) -> dict[str, Any]:
     """Return per swap and pixel set the RMSE in metres and its paired difference to what it is compared with.
 
     Returns:
@@ -165,8 +165,8 @@ def summarise_swaps(rows: Rows, swaps: Mapping[str, Swap] = SWAPS) -> dict[str, 
     rmse = {name: {key: [s[key] and s[key]["rmse"] for s in scores] for key in SCORED} for name, scores in rows.items()}
     out = {}
     for name in rows:
-        other = None if swaps[name].against == name else swaps[name].against
-        out[name] = {"says": swaps[name].says, "against": other}
+        other = None if SWAPS[name].against == name else SWAPS[name].against
+        out[name] = {"says": SWAPS[name].says, "against": other}
         for key in SCORED:
             minus = other and interval(paired_bootstrap, rmse[name][key], rmse[other][key], digits=DIGITS)
             out[name][key] = {"rmse_m": interval(bootstrap_mean, rmse[name][key], digits=DIGITS), "minus_m": minus}

@@ -259,10 +259,10 @@ def painter_of(branch: str, parts: nn.ModuleDict, config: Config) -> Painter:
 
 
 @torch.no_grad()
-def some_latents(model: nn.Module, pool: Pool, config: Config, batches: int = 20) -> Tensor:
+def some_latents(model: nn.Module, pool: Pool, config: Config) -> Tensor:
     """Return latents (N, C, h, w) of true depth in windows, to learn their mean and spread from."""
     latents = []
-    for k in range(batches):
+    for k in range(20):
         batch = recipes.branch_batch("optical", pool, config, 8, recipes.rng_of(1, k))
         latents.append(model.encode(cl(fill(batch.gt_n, batch.gt_known))))
     return torch.cat(latents)

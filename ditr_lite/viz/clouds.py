@@ -106,11 +106,11 @@ def interactive(
     return figure
 
 
-def _palette(colours: np.ndarray, count: int = 48) -> tuple[np.ndarray, list[list[float | str]]]:
+def _palette(colours: np.ndarray) -> tuple[np.ndarray, list[list[float | str]]]:
     """Return (N,) uint8 indices into a few typical colours, and these as a plotly scale: a tenth of a list of names."""
     if not len(colours):
         return np.zeros(0, np.uint8), [[0.0, "rgb(0,0,0)"], [1.0, "rgb(0,0,0)"]]
-    image = Image.fromarray(colours[None]).quantize(count, kmeans=1, dither=Image.Dither.NONE)
+    image = Image.fromarray(colours[None]).quantize(48, kmeans=1, dither=Image.Dither.NONE)
     index = np.asarray(image)[0]
     table = np.array(image.getpalette(), np.uint8).reshape(-1, 3)[: int(index.max()) + 1]
     table = table if len(table) > 1 else np.repeat(table, 2, axis=0)  # a scale has two ends

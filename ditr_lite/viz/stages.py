@@ -108,7 +108,7 @@ def draw_steps(
     return figure
 
 
-def draw_probability(ax: Any, values: np.ndarray, title: str = "probability") -> None:
+def draw_probability(ax: Any, values: np.ndarray) -> None:
     """Draw stage one's probability (H, W) from 0 to 1 with its colour bar."""
-    drawn = draw_plane(ax, values, title, (0, 1), "cividis")
+    drawn = draw_plane(ax, values, "probability", (0, 1), "cividis")
     ax.figure.colorbar(drawn, ax=ax, fraction=0.05).ax.tick_params(labelsize=FONT - 1)

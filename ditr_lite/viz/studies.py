@@ -64,22 +64,20 @@ def training_curves(curves: Mapping[str, Sequence[tuple[int, float]]]) -> Pictur
     return figure
 
 
-def surest_kept(
-    kinds: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[float]]]], oracle: str = "oracle"
-) -> Picture:
+def surest_kept(kinds: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[float]]]]) -> Picture:
     """Draw, a panel for each kind of pixel, the RMSE of the surest pixels against the share of pixels that is kept.
 
     Args:
-        kinds: title -> name of a curve -> shares and RMSE in metres; the curve called ``oracle`` is dotted.
-        oracle: name of the best curve that any order could give.
+        kinds: title -> name of a curve -> shares and RMSE in metres; the curve called "oracle", the best that
+            any order could give, is dotted.
     """
     figure = Picture(10.0, 3.4)
-    names = list(dict.fromkeys(name for curves in kinds.values() for name in curves if name != oracle))
-    colours = dict(zip(names, (GREY, OKABE_ITO[5], OKABE_ITO[6]), strict=False)) | {oracle: OKABE_ITO[4]}
+    names = list(dict.fromkeys(name for curves in kinds.values() for name in curves if name != "oracle"))
+    colours = dict(zip(names, (GREY, OKABE_ITO[5], OKABE_ITO[6]), strict=False)) | {"oracle": OKABE_ITO[4]}
     axes = figure.subplots(1, len(kinds), squeeze=False)[0]
     for ax, (title, curves) in zip(axes, kinds.items(), strict=True):
         for name, (shares, risks) in curves.items():
-            line = ":" if name == oracle else "o-"
+            line = ":" if name == "oracle" else "o-"
             ax.plot(100 * np.array(shares), 1000 * np.array(risks), line, color=colours[name], markersize=3, label=name)
         ax.set_xlabel("surest pixels kept (%)", fontsize=FONT)
         ax.set_title(title, fontsize=FONT)
@@ -132,7 +130,6 @@ def worst_scenes(
     depths: Sequence[np.ndarray],
     titles: Sequence[str],
     found: Sequence[np.ndarray],
-    error_mm: float = 100.0,
     columns: int = 5,
 ) -> Picture:
     """Draw many scenes small: colour with the true and the found region above the error inside the true region.
@@ -142,7 +139,6 @@ def worst_scenes(
         depths: (H, W) metres, the completion of each.
         titles: of each.
         found: (H, W) bool, the region that stage one found in each.
-        error_mm: upper end of the error bar.
         columns: scenes in a row.
 
     Raises:
@@ -165,7 +161,7 @@ def worst_scenes(
             figure.legend(legend.legend_handles, names, **style)
         legend.remove()
         inside = np.where(sample.region, sample.depth_gt, 0)  # elsewhere no error is of interest
-        drawn = error(axes[2 * block + 1, column], depth, inside, error_mm, bar=False)
+        drawn = error(axes[2 * block + 1, column], depth, inside, 100.0, bar=False)
         axes[2 * block + 1, column].set_title("")
         if column == columns - 1:
             add_bar(figure, drawn, axes[2 * block + 1, column], "error")
