@@ -1,3 +1,5 @@
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,13 @@ from ditr_lite.simulator.rooms import room_scene
 SEEDS = range(80)
 
 
+@cache
+def scene_of(seed, split="rooms_train"):
+    return room_scene(seed, split)
+
+
 def scenes(split="rooms_train"):
-    return [room_scene(seed, split) for seed in SEEDS]
+    return [scene_of(seed, split) for seed in SEEDS]
 
 
 def world(thing):
@@ -46,7 +53,7 @@ def test_the_test_rooms_share_no_shape_photograph_or_surrounding_with_training()
 
 
 def test_about_an_eighth_of_the_scenes_is_empty_and_exactly_those_hold_nothing_lossy():
-    drawn = [room_scene(seed) for seed in range(400)]
+    drawn = [scene_of(seed) for seed in range(400)]
     assert 0.08 < np.mean([s.style["empty"] for s in drawn]) < 0.17
     for scene in drawn:
         lossy = [t for t in scene.things if t.kind in (TRANSPARENT, REFLECTIVE)]
@@ -54,7 +61,7 @@ def test_about_an_eighth_of_the_scenes_is_empty_and_exactly_those_hold_nothing_l
 
 
 def test_distances_and_places_are_spread_as_said():
-    styles = [room_scene(seed).style for seed in range(400)]
+    styles = [scene_of(seed).style for seed in range(400)]
     distance = np.array([s["distance_m"] for s in styles])
     assert 0.1 <= distance.min() and distance.max() <= 3.0
     assert 0.4 < np.mean((distance > 0.3) & (distance < 1)) < 0.8
