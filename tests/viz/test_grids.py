@@ -299,7 +299,7 @@ def test_no_other_module_draws():
     }
 
 
-@pytest.mark.parametrize("width", [480, 700])
+@pytest.mark.parametrize("width", [240, 480])
 def test_every_map_of_a_saved_panel_is_wide_enough_and_outlined(tmp_path, sample, width):
     std = np.full(sample.depth.shape, 0.01, np.float32)
     maps = (sample.rgb, sample.depth, sample.depth_gt)

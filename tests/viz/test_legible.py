@@ -153,7 +153,7 @@ def steps(ax, k):
 EVERY = {
     "compare": lambda: viz.compare(SCENE, {f"method {k}": SCENE.depth for k in range(4)}),
     "row": lambda: viz.row([("rgb", SCENE.rgb, "a"), ("spread", SCENE.depth_gt, "b")], region={"true": SCENE.region}),
-    "contact_sheet": lambda: viz.contact_sheet([SCENE] * 9, columns=8),
+    "contact_sheet": lambda: viz.contact_sheet([SCENE] * 8, columns=8),
     "depth": lambda: one_panel(lambda ax: viz.depth(ax, SCENE.depth, title="raw")),
     "error": lambda: one_panel(lambda ax: viz.error(ax, SCENE.depth, SCENE.depth_gt)),
     "signed_error": lambda: one_panel(lambda ax: viz.signed_error(ax, SCENE.depth, SCENE.depth_gt)),
