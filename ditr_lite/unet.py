@@ -184,22 +184,22 @@ class FeatureExtractor(nn.Module):
 class DenoisingUNet(nn.Module):
     """The denoiser, x_theta(L_t, t, F(x)), of a conditioning image with ``cond_in_channels`` (RGB, boundary map, ...).
 
-    ``mask_channels`` belong to the masked latents. Raises ValueError for a block, query or level that does not exist.
+    Raises ValueError for a block, query or level that does not exist.
     """
 
-    def __init__(self, config: UNetConfig, latent_channels: int, cond_in_channels: int, mask_channels: int = 1):
+    def __init__(self, config: UNetConfig, latent_channels: int, cond_in_channels: int):
         super().__init__()
         for name, value, known in (("block", config.block, BLOCKS), ("query", config.query, CROSS_ATTENTION)):
             if value not in known:
                 raise ValueError(f"unknown {name} {value!r}; choose one of {', '.join(known)}")
         if not set(config.attention_levels) <= set(range(len(config.multipliers))):
             raise ValueError(f"attention_levels {config.attention_levels}: only {len(config.multipliers)} levels exist")
-        self.config, self.latent_channels, self.mask_channels = config, latent_channels, mask_channels
+        self.config, self.latent_channels = config, latent_channels
         widths = [config.width * m for m in config.multipliers]
         wide = 4 * config.width
         self.extractor = FeatureExtractor(cond_in_channels, config)
         self.time = nn.Sequential(nn.Linear(config.width, wide), nn.SiLU(), nn.Linear(wide, wide), nn.SiLU())
-        self.stem = nn.Conv2d(2 * latent_channels + mask_channels + config.cond_channels, widths[0], 3, padding=1)
+        self.stem = nn.Conv2d(2 * latent_channels + 1 + config.cond_channels, widths[0], 3, padding=1)  # 1: the mask
         ups = range(len(widths) - 2, -1, -1)  # coarse to fine
         self.down = nn.ModuleList(Level(i, widths[max(i - 1, 0)], config) for i in range(len(widths)))
         self.project = nn.Conv2d(widths[-1], widths[-1], 1)  # "1x1 convolution layer for linear projection"
@@ -237,11 +237,11 @@ class DenoisingUNet(nn.Module):
             t: (B,) long.
             features: what :meth:`features` returned, F(x).
             masked_latents: (B, C, h, w) encoded masked depth, or None for zeros: nothing is known.
-            mask: (B, mask_channels, h, w) where it is known, or None for zeros: nowhere.
+            mask: (B, 1, h, w) where it is known, or None for zeros: nowhere.
         """
         b, c, h, w = latents.shape
         known = latents.new_zeros(b, c, h, w) if masked_latents is None else masked_latents
-        mask = latents.new_zeros(b, self.mask_channels, h, w) if mask is None else mask
+        mask = latents.new_zeros(b, 1, h, w) if mask is None else mask
         k = 2 ** (len(self.down) - 1)
         if c != self.latent_channels or h % k or w % k or t.shape != (b,):
             expected = f"latents (B, {self.latent_channels}, h, w), h and w multiples of {k}, and t (B,)"

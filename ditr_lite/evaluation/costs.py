@@ -177,7 +177,7 @@ def level_costs(
         image: (B, Cin, H, W), what F(x) looks at.
         latents: (B, C, H/4, W/4), L_t.
         known: like ``latents``, the encoded known depth.
-        mask: (B, M, H/4, W/4), where it is known.
+        mask: (B, 1, H/4, W/4), where it is known.
         colour: the pretrained encoder's features of the picture, where the denoiser takes any.
 
     Returns:
