@@ -281,14 +281,14 @@ def within_its_lines(name: str, method: Callable) -> Callable:
 def against_best(results: Sequence[dict], name: str, baselines: Sequence[str]) -> str:
     """Return lines that compare a reader's method with the baseline that is best on each set, paired over frames."""
     from ..evaluation.scoring import COMPARED
-    from ..evaluation.statistics import format_interval, paired_bootstrap
+    from ..evaluation.statistics import format_interval, mean_known, paired_bootstrap
 
     lines = [f"RMSE of {name} minus that of the best baseline, mm: mean [95 % interval], paired over frames"]
     for key in COMPARED:
         rmse = {m: [(s := (r["methods"][m] or {}).get(key)) and s["rmse"] for r in results] for m in (name, *baselines)}
-        means = {m: [v for v in rmse[m] if v is not None] for m in baselines}
-        means = {m: sum(values) / len(values) for m, values in means.items() if values}
-        if not means or not any(v is not None for v in rmse[name]):
+        means = {m: mean_known(rmse[m]) for m in baselines}
+        means = {m: mean for m, mean in means.items() if mean is not None}
+        if not means or mean_known(rmse[name]) is None:
             continue
         best = min(means, key=means.get)
         interval = paired_bootstrap(rmse[name], rmse[best])

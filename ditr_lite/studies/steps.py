@@ -14,7 +14,7 @@ import numpy as np
 
 from .. import metrics
 from ..data import Sample
-from ..evaluation.statistics import bootstrap_mean, format_interval, paired_bootstrap
+from ..evaluation.statistics import bootstrap_mean, format_interval, mean_known, paired_bootstrap
 from ..pipeline import Ditr
 
 SETS = ("optical", "geometric")
@@ -95,17 +95,12 @@ def format_draws(scores: Mapping[int, Sequence[Mapping[str, float | None]]], sec
     lines = [" " * 45 + "".join(f"{n:6} step{'s' if n > 1 else ' '}" for n in scores) + "  best"]
     lines.append(f"{'seconds a frame':45}" + "".join(f"{seconds[n]:12.2f}" for n in scores))
     for key, (says, less) in SCORES.items():
-        means = {n: _mean([row[key] for row in rows]) for n, rows in scores.items()}
+        means = {n: mean_known([row[key] for row in rows]) for n, rows in scores.items()}
         known = {n: mean for n, mean in means.items() if mean is not None}
         best = (min if less else max)(known, key=known.get) if known else "-"
         cells = "".join(f"{mean:12.1f}" if mean is not None else f"{'-':>12}" for mean in means.values())
         lines.append(f"{says:45}{cells}{best:>6}")
     return "\n".join(lines)
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    there = [value for value in values if value is not None]
-    return float(np.mean(there)) if there else None
 
 
 def score_members(members: Sequence[np.ndarray], sample: Sample) -> dict[str, Any]:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from tqdm.auto import tqdm
 
-from ..data import read_sample
+from ..data import is_unfinished, read_sample
+from ..units import depth_to_png
 from ..windows import fit_frame
 
 MAPS = ("rgb", "depth", "depth_gt", "material", "instances")  # what every scene has
@@ -75,7 +76,7 @@ def load_scenes(folder: Path | str, limit: int | None = None) -> Scenes:
     if limit is not None and limit < 1:
         raise ValueError(f"the limit (--limit) should be at least 1 scene, got {limit}")
     folder = Path(folder)
-    paths = sorted(p.parent for p in folder.glob("*/meta.json") if not p.parent.name.endswith(".part"))[:limit]
+    paths = sorted(p.parent for p in folder.glob("*/meta.json") if not is_unfinished(p.parent))[:limit]
     if not paths:
         raise ValueError(f"no scenes in {folder}: make them with `make samples` or `python -m ditr_lite simulate`")
     samples = [read_sample(p) for p in tqdm(paths, desc="reading scenes", unit="scene", leave=False)]
@@ -86,15 +87,11 @@ def load_scenes(folder: Path | str, limit: int | None = None) -> Scenes:
     return Scenes(
         names=[s.name for s in samples],
         rgb=np.stack([s.rgb for s in samples]),
-        depth=np.stack([_millimetres(s.depth) for s in samples]),
-        depth_gt=np.stack([_millimetres(s.depth_gt) for s in samples]),
+        depth=np.stack([depth_to_png(s.depth) for s in samples]),
+        depth_gt=np.stack([depth_to_png(s.depth_gt) for s in samples]),
         material=np.stack([s.material for s in samples]),
         instances=np.stack([s.instances for s in samples]),
     )
-
-
-def _millimetres(depth_m: np.ndarray) -> np.ndarray:
-    return np.rint(depth_m * 1000).astype(np.uint16)
 
 
 def shrink(scenes: Scenes, size: tuple[int, int]) -> Scenes:
