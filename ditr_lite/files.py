@@ -87,12 +87,14 @@ def folder_written_whole(folder: Path | str) -> Iterator[Path]:
     try:
         yield part
         with locked(folder):
-            if folder.exists():
-                folder.rename(old)
-            part.rename(folder)
+            try:
+                if folder.exists():
+                    folder.rename(old)
+                part.rename(folder)
+            finally:
+                if old.exists() and not folder.exists():  # interrupted between the two
+                    old.rename(folder)
     finally:
-        if old.exists() and not folder.exists():  # interrupted between the two
-            old.rename(folder)
         for left in (part, old):
             shutil.rmtree(left, ignore_errors=True)
 

@@ -1,6 +1,7 @@
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -318,6 +319,22 @@ def test_two_writers_of_one_folder_leave_one_whole(tmp_path):
         list(pool.map(write, "wxyz"))
     assert len({path.read_text() for path in folder.iterdir()}) == 1 and len(list(folder.iterdir())) == 3
     assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_the_old_folder_is_not_put_in_the_way_of_another_writer(tmp_path, monkeypatch):
+    folder, locked = tmp_path / "scene", files.locked
+    folder.mkdir()
+
+    @contextmanager
+    def then_another_begins(path):
+        with locked(path):
+            yield
+        folder.rename(tmp_path / "theirs")  # it holds the lock now, and will put its own there
+
+    monkeypatch.setattr(files, "locked", then_another_begins)
+    with files.folder_written_whole(folder) as part:
+        (part / "a").write_text("new")
+    assert list(tmp_path.iterdir()) == [tmp_path / "theirs"] and (tmp_path / "theirs" / "a").read_text() == "new"
 
 
 def test_an_interrupted_folder_leaves_the_old_one(tmp_path):
