@@ -10,10 +10,13 @@ On its own nbval 0.11 lets four kinds of notebook cells through:
 ``tests/test_nbval_hardening.py`` shows each of them passing without this file and failing with it.
 """
 
+import os
 from collections.abc import Iterator
 
 import pytest
 from nbval.plugin import IPyNbCell, NbCellError
+
+os.environ.setdefault("TQDM_DISABLE", "1")  # before tqdm is imported: tests read what commands print
 
 # Makes a failed `!command` an exception, which nbval does notice.
 STRICT_SHELL = "get_ipython().system_raise_on_error = True"
