@@ -247,8 +247,7 @@ def score_idea(idea: Idea, encoder: nn.Module | None, drawn: tuple[str, Batch], 
 
 def shown_views(branch: str, batch: Batch) -> tuple[Views, Tensor]:
     """Return what painters are shown of a batch, and where they must paint, (B, 1, H, W) 0/1."""
-    guide = batch.guide_da if branch == "optical" else batch.guide_rgb
-    paint = batch.region if branch == "optical" else (1 - batch.region) * (1 - batch.valid)
+    guide, paint = recipes.guide_and_paint(branch, batch)
     return Views(batch.rgb, batch.depth_n, batch.valid, batch.region, guide, batch.guide_rgb), paint
 
 

@@ -134,10 +134,15 @@ def branch_inputs(
 ) -> tuple[tuple[Tensor, Tensor, Tensor], Tensor]:
     """Return what a branch is given (see ``condition``) and where it must paint, (B, 1, H, W) 0/1."""
     shown = evidence and config.evidence and branch == "optical"
-    guide = batch.guide_da if branch == "optical" else batch.guide_rgb
-    given = condition(batch.rgb, batch.depth_n, batch.valid, batch.region, guide, shown)
-    paint = batch.region if branch == "optical" else (1 - batch.region) * (1 - batch.valid)
-    return given, paint
+    guide, paint = guide_and_paint(branch, batch)
+    return condition(batch.rgb, batch.depth_n, batch.valid, batch.region, guide, shown), paint
+
+
+def guide_and_paint(branch: str, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Return the boundary map that guides a branch and where it must paint, (B, 1, H, W) 0/1 each."""
+    if branch == "optical":
+        return batch.guide_da, batch.region
+    return batch.guide_rgb, (1 - batch.region) * (1 - batch.valid)
 
 
 def branch_step(
