@@ -1,6 +1,6 @@
 """Write what every knob of notebook 09's table from symptom to knob does, on validation scenes of the second simulator.
 
-    python tools/remedy_study.py [--limit 8] [--json ditr_lite/weights/results_remedies.json]
+    python tools/remedy_study.py [--limit 32] [--json ditr_lite/weights/results_remedies.json]
 
 Scored are scenes whose region covers at least one per cent of the picture. About twenty seconds a scene on one core.
 """
@@ -32,7 +32,7 @@ def frames(limit: int) -> list:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--limit", type=int, default=8, help="scenes (%(default)s)")
+    parser.add_argument("--limit", type=int, default=32, help="scenes (%(default)s)")
     parser.add_argument("--json", type=Path, default=results.results_path("remedies"), help="where to write")
     argv = sys.argv[1:] if argv is None else argv
     options = parser.parse_args(argv)
