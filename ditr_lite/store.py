@@ -93,7 +93,7 @@ def save_part(name: str, state: dict[str, Tensor], config: Config, folder: Path 
     with locked(folder / CARD):
         card = {"parts": {}}
         if (folder / CARD).is_file():
-            card, config = read_card(folder), _calibrated(config, read_config(folder))
+            card, config = read_card(folder), calibrated(config, read_config(folder))
         below = {n: card["parts"][n]["sha256"] for n in BUILT_ON.get(name, ()) if n in card["parts"]}
         write_tensors(half, path)
         card["config"] = to_dict(config)
@@ -108,7 +108,7 @@ def _write_card(card: dict[str, Any], folder: Path) -> None:
         part.write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
 
 
-def _calibrated(config: Config, there: Config) -> Config:
+def calibrated(config: Config, there: Config) -> Config:
     """Return ``config`` with what calibration entered into the card that is there: training a part does not undo it."""
     refine = replace(config.refine, temperature=there.refine.temperature)
     return replace(config, refine=refine, std=there.std)

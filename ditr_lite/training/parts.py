@@ -18,7 +18,7 @@ from ..metrics import iou
 from ..pipeline import build
 from ..region import region_probability
 from ..stage_two import BRANCHES, Painter, cl
-from ..store import CARD, WEIGHTS, copy_part, copy_weights, load_part, read_card, save_part
+from ..store import CARD, WEIGHTS, calibrated, copy_part, copy_weights, load_part, read_card, read_config, save_part
 from . import recipes
 from .batches import Batch, frames_in_order, windows_in_order
 from .kept_maps import SLOW, KeptMaps
@@ -168,7 +168,8 @@ def train_on(
         check_same_system(config, start, NETWORKS)
     if is_first():
         if start is not None and not (Path(out) / CARD).is_file():
-            copy_weights(start, out, config)  # the other parts come along: what is trained on stays a whole system
+            # the other parts come along: what is trained on stays a whole system
+            copy_weights(start, out, calibrated(config, read_config(start)))
         if PRETRAINED in needs(part, config):
             copy_part(PRETRAINED, WEIGHTS, out)
     wait_for_all()

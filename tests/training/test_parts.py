@@ -1,4 +1,5 @@
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,9 @@ import torch
 from made_scenes import make_scenes
 
 import ditr_lite as dl
-from ditr_lite.config import Config, override, preset
+from ditr_lite.config import Config, StdConfig, override, preset
 from ditr_lite.data import SAMPLES, Sample, read_sample, save_sample
-from ditr_lite.store import load_part, read_card
+from ditr_lite.store import copy_weights, load_part, read_card, read_config
 from ditr_lite.training import parts as module
 from ditr_lite.training.loop import Recipe
 from ditr_lite.training.parts import (
@@ -106,6 +107,14 @@ def test_training_goes_on_from_given_weights(trained, data, tmp_path):
     assert dl.Ditr.from_pretrained(path=tmp_path / "out")(sample.rgb, sample.depth, samples=1).depth.all()
     with pytest.raises(ValueError, match="another region setting"):
         go("region", data, tmp_path, override(TINY, **{"region.width": 16}), start=home / "weights")
+
+
+def test_training_goes_on_with_the_calibration_of_given_weights(trained, data, tmp_path):
+    start, refine = tmp_path / "start", replace(TINY.refine, temperature=1.5)
+    copy_weights(trained[0] / "weights", start, replace(TINY, std=StdConfig(kept=0.02), refine=refine))
+    go("region", data, tmp_path, override(TINY, evidence=False), start=start)
+    found = read_config(tmp_path / "weights")
+    assert (found.std.kept, found.refine.temperature, found.evidence) == (0.02, 1.5, False)
 
 
 def test_a_checkpoint_counts_only_for_what_it_was_trained_from(trained, data, tmp_path):
