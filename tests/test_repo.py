@@ -299,6 +299,10 @@ def source_of(path):
     return re.sub(r"^(\s*)[%!].*$", r"\1pass", "\n".join(cells), flags=re.MULTILINE)
 
 
+def test_no_file_on_top_is_called_like_an_option():
+    assert [path.name for path in ROOT.iterdir() if path.name.startswith("-")] == []  # `grep x *` would take it for one
+
+
 def test_no_pickle():
     # tests may make a bad file to see it refused
     shipped = [p for p in (*PYTHON, *NOTEBOOKS) if ROOT / "tests" not in p.parents]
