@@ -202,7 +202,7 @@ LDM; the idea: one latent denoiser for all, no region
 
 C6 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
 peers.ideas.NormalsOptimisation | peers/test_ideas.py::test_every_idea_paints_metres_and_learns
-ClearGrasp; the idea: the same after the readings inside the region are dropped
+ClearGrasp; the idea: as DeepCompletion, after the readings inside the region are dropped
 
 C7 | done | 08_ablations | 3 · Meet the peers, then ask where the error comes from
 peers.ideas.ImplicitRays | peers/test_ideas.py::test_a_ray_begins_at_the_fill_and_ends_where_it_is_told
