@@ -151,15 +151,16 @@ def list_samples(split: str = "test", root: Path | str | None = None) -> list[st
     if split not in SPLITS + ROOM_SPLITS:
         raise ValueError(f"unknown split {split!r}; choose one of {', '.join(SPLITS + ROOM_SPLITS)}")
     folder = Path(root or SAMPLES) / split
-    names = sorted(p.parent.name for p in folder.glob("*/meta.json") if not is_unfinished(p.parent))
+    names = [path.name for path in sample_folders(folder)]
     if not names:
         raise ValueError(f"no samples in {folder}: run ditr_lite from its repository, or `make samples`")
     return names
 
 
-def is_unfinished(folder: Path) -> bool:
-    """Return whether a folder is one that a writer has not finished, or somebody hides."""
-    return folder.name.startswith(".") or folder.name.endswith(".part")
+def sample_folders(folder: Path | str) -> list[Path]:
+    """Return the folders of the samples in ``folder``, sorted, but for unfinished ones and those that are hidden."""
+    found = sorted(path.parent for path in Path(folder).glob("*/meta.json"))
+    return [path for path in found if not (path.name.startswith(".") or path.name.endswith(".part"))]
 
 
 def load_sample(name: str, root: Path | str | None = None) -> Sample:

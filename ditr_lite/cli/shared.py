@@ -201,7 +201,9 @@ def frame_files(place: Path, endings: Sequence[str]) -> list[Path]:
 
 def has_scenes(folder: Path) -> bool:
     """Return whether a folder holds rendered scenes."""
-    return any(Path(folder).glob("*/meta.json"))
+    from ..data import sample_folders
+
+    return bool(sample_folders(folder))
 
 
 def check_scenes(folders: list[Path], command: str) -> None:

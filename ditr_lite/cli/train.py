@@ -286,9 +286,11 @@ def recipe_of(options: Namespace, part: str, frames: int):
 
 def count_frames(options: Namespace, data: list[Path], real) -> int:
     """Return how many frames an epoch has."""
+    from ..data import sample_folders
+
     count = 0
     if real is None or real.scene_share:
-        count += sum(len(list(folder.glob("*/meta.json"))[: options.limit]) for folder in data)
+        count += sum(len(sample_folders(folder)[: options.limit]) for folder in data)
     if real is not None:
         from ..datasets import REGISTRY
 

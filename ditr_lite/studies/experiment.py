@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from ..config import Config, override, preset, to_dict
-from ..data import SAMPLES, read_sample
+from ..data import SAMPLES, read_sample, sample_folders
 from ..evaluation.scoring import DITR, run_methods
 from ..evaluation.statistics import compare_seeds, format_interval, interval, mean_known, paired_bootstrap, seed_verdict
 from ..pipeline import Ditr, build
@@ -112,7 +112,7 @@ def compare_settings(
     names = {"default": "default", "changed": folder_name(settings)}
     paths = {"default": home / "default", "changed": Path(out) if out else home / names["changed"]}
     found = any(key.split(".")[0] in STAGE_ONE for key in settings)
-    scored = [p.parent for p in sorted(Path(val).glob("*/meta.json"))][:frames]
+    scored = sample_folders(val)[:frames]
     if not scored:
         raise ValueError(f"no scenes in {val} to score on: make them with `python -m ditr_lite simulate`")
     samples = [read_sample(path) for path in scored]

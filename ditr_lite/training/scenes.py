@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from tqdm.auto import tqdm
 
-from ..data import is_unfinished, read_sample
+from ..data import read_sample, sample_folders
 from ..units import depth_to_png
 from ..windows import fit_frame
 
@@ -76,7 +76,7 @@ def load_scenes(folder: Path | str, limit: int | None = None) -> Scenes:
     if limit is not None and limit < 1:
         raise ValueError(f"the limit (--limit) should be at least 1 scene, got {limit}")
     folder = Path(folder)
-    paths = sorted(p.parent for p in folder.glob("*/meta.json") if not is_unfinished(p.parent))[:limit]
+    paths = sample_folders(folder)[:limit]
     if not paths:
         raise ValueError(f"no scenes in {folder}: make them with `make samples` or `python -m ditr_lite simulate`")
     samples = [read_sample(p) for p in tqdm(paths, desc="reading scenes", unit="scene", leave=False)]

@@ -3,14 +3,17 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+from argparse import Namespace
 from dataclasses import replace
 
 import pytest
 
 from ditr_lite import data, store
 from ditr_lite.cli import main
+from ditr_lite.cli.train import count_frames
 
 TINY = ["--preset", "tiny", "--steps", "1", "--batch", "2"]
 SMALL = ["size=64,96", "autoencoder.width=8", "autoencoder.codes=64", "unet.width=8", "unet.cond_channels=8"]
@@ -131,6 +134,16 @@ def test_checkpoints_come_as_often_as_they_are_asked_for(weights, scenes, tmp_pa
 def test_what_a_comparison_of_settings_does_not_do_is_refused(more, capsys):
     reason = refused(["train", *TINY, "--set", "unet.heads=1", *more], capsys)
     assert reason.startswith(f"a comparison of settings takes no {more[0]}; ")
+
+
+def test_what_no_writer_has_finished_is_no_scene(scenes, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    left = tmp_path / "val"
+    shutil.copytree(scenes / "val" / "val_00000", left / ".val_00000.0123.old.part")
+    assert count_frames(Namespace(limit=None), [left], None) == 0
+    assert "no scenes in" in refused(["train", *TINY, "--part", "region", "--data", str(left)], capsys)
+    comparison = ["train", *TINY, "--set", "unet.heads=1", "--limit", "1", "--val", str(left)]
+    assert f"no scenes in {left} to score on" in refused(comparison, capsys)
 
 
 def test_of_several_processes_the_first_alone_tells_what_was_found(scenes, tmp_path, monkeypatch, capsys):
