@@ -211,9 +211,9 @@ def coverage_columns(report: Mapping[str, Any]) -> dict[str, list[float] | list[
     for place in report["calibrated"]:
         for how in _stated(report, place):
             times, due, seen = zip(*report[how][place]["reliability"], strict=True)
-            columns.setdefault("errors within", [f"{k:g} std" for k in times])
-            columns.setdefault("Gaussian, %", [100 * share for share in due])
-            columns[f"{place}, {how}"] = [100 * share for share in seen]
+            columns.setdefault("within", [f"{k:g} std" for k in times])
+            columns.setdefault("Gaussian", [100 * share for share in due])
+            columns[f"{place}, {how.removesuffix(' alone')}"] = [100 * share for share in seen]
     return columns
 
 

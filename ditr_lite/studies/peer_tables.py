@@ -34,7 +34,7 @@ ORACLES = {  # what is put in the place of one part of the shipped system
 EQUAL_ORACLES = {  # the same of DITR at equal time
     "equal time, true region": "stage one never errs",
     "equal time, no detail network": "the branches as decoded",
-    "truth at the working size": "all painters never err, at the arms' working size",
+    "truth at the working size": "no painter ever errs",
 }
 IDEAS = {  # peer -> its idea, and the systems of Tables I to III that have it
     "regression": "one U-Net from colour and raw depth to depth (DFNet)",
@@ -217,27 +217,27 @@ def format_ablation(report: Mapping[str, Any]) -> str:
     falls = [100 * (told[b]["rmse"] / told[a]["rmse"] - 1) for a, b in (("BB", "BB + DP"), ("BB + DP", "BB + DP + RR"))]
     paper = " (Table IV: {:.0f} %, {:.0f} %)".format(*falls)
     heads = "optical, change".rjust(22) + "whole, change".rjust(22) + paper
-    lines = ["RMSE mm".ljust(16) + "".join(k.rjust(11) for k in SETS) + heads]
+    lines = ["RMSE mm".ljust(15) + "".join(k.rjust(11) for k in SETS) + heads]
     for seed, steps in report["ablation"].items():
         for step in ("BB", "+DP", "+RR"):
             change = steps.get(step)
             texts = (
                 [format_interval([100 * (v - 1) for v in change[k]], 1, "+.0f") + " %" for k in PAPER] if change else []
             )
-            row = f"{step}, seed {seed}".ljust(16) + _cells(report["mean"][f"{step}, seed {seed}"])
+            row = f"{step}, seed {seed}".ljust(15) + _cells(report["mean"][f"{step}, seed {seed}"])
             lines.append(row + "".join(text.rjust(22) for text in texts))
     return "\n".join(lines)
 
 
 def format_oracles(report: Mapping[str, Any]) -> str:
     """Return what DITR, shipped and at equal time, would score with one part replaced, and the difference it makes."""
-    lines = ["RMSE mm".ljust(36) + "".join(k.rjust(11) for k in SETS) + "   optical, minus the unchanged"]
+    lines = ["RMSE mm".ljust(31) + "".join(k.rjust(11) for k in SETS) + "   optical, minus the unchanged"]
     groups = ((SHIPPED, ORACLES, "minus_ditr"), (EQUAL, EQUAL_ORACLES, "minus_equal"))
     for base, oracles, key in groups:
         for name in (base, *oracles):
             if name in report["mean"] and key in report:
                 change = format_interval(report[key][name]["optical"], 1000, "+.1f")
-                row = name.ljust(36) + _cells(report["mean"][name]) + f"   {change}  {oracles.get(name, '')}"
+                row = name.ljust(31) + _cells(report["mean"][name]) + f"   {change}  {oracles.get(name, '')}"
                 lines.append(row.rstrip())
     return "\n".join(lines)
 
@@ -323,7 +323,7 @@ def error_character(depth: np.ndarray, truth: np.ndarray, region: np.ndarray) ->
 def format_failures(failures: Sequence[tuple[str, Sample, np.ndarray]]) -> str:
     """Return what kind of error each peer makes on its worst frame, mm, and what most of its error is, in words."""
     heads = ("frame", "RMSE", "offset", "shape", "outline")
-    lines = ["mm".ljust(26) + heads[0].ljust(14) + "".join(h.rjust(9) for h in heads[1:])]
+    lines = ["mm".ljust(25) + heads[0].ljust(12) + "".join(h.rjust(9) for h in heads[1:])]
     for peer, sample, depth in failures:
         kind = error_character(depth, sample.depth_gt, sample.region)
         cells = "".join(
@@ -333,11 +333,9 @@ def format_failures(failures: Sequence[tuple[str, Sample, np.ndarray]]) -> str:
             told = "the glass is too far as a whole" if kind["offset"] > 0 else "the glass is too near as a whole"
         else:
             told = (
-                "its shape is wrong, most of all at the outline"
-                if kind["outline"] > kind["rmse"]
-                else "its shape is wrong"
+                "its shape is wrong, above all its outline" if kind["outline"] > kind["rmse"] else "its shape is wrong"
             )
-        lines.append(peer.ljust(26) + sample.name.ljust(14) + cells + f"  {told}")
+        lines.append(peer.ljust(25) + sample.name.ljust(12) + cells + f"  {told}")
     return "\n".join(lines)
 
 

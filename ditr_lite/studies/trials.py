@@ -78,7 +78,7 @@ def trials(folder: Path | str = WEIGHTS) -> list[Trial]:
         operations = costs(override(preset("tiny"), **row["settings"]))
         price = f"{sum(r['gflops'] * r['calls'] for r in operations):.2f} GFLOP a frame"
         if name != DEFAULT:
-            said = "optical error clearly different" if gain.clear else "not clearly different"
+            said = "clear" if gain.clear else "not clear"
             price += f"; {said}; geometric {1000 * other.mean:+.1f} mm"
         error = float(errors(row).mean())
         found.append(Trial("stage two, tiny", name, error, name == DEFAULT, price, settings["command"]))
@@ -137,9 +137,9 @@ def _row(settings: Mapping[str, str]) -> Row:
 
 def format_trials(found: Sequence[Trial]) -> str:
     """Return the table, and per part whether what was chosen has the lowest optical error."""
-    lines = [f"{'part':15} {'setting':40}{'optical mm':>11}   what else it cost"]
+    lines = [f"{'part':15} {'setting':39}{'optical mm':>11}  what else it cost; is the difference clear?"]
     for t in found:
-        lines.append(f"{t.part:15} {t.setting:40}{1000 * t.optical_m:11.1f}   {t.price}{' <- chosen' * t.chosen}")
+        lines.append(f"{t.part:15} {t.setting:39}{1000 * t.optical_m:11.1f}  {t.price}{' <- chosen' * t.chosen}")
     lines.append("")
     for part in dict.fromkeys(t.part for t in found):
         rows = [t for t in found if t.part == part]

@@ -3,6 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+# Characters that JupyterLab shows beside its file browser on a screen of 1366 pixels. It breaks a longer line anywhere.
+WIDTH = 116
+
 
 def table(columns: Mapping[str, Sequence[Any]], decimals: int | Mapping[str, int] = 1) -> str:
     """Return a table as text, a line for the headings and one for each row, to be printed.

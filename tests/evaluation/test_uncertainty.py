@@ -134,8 +134,8 @@ def test_what_was_stated_becomes_columns_and_curves():
     one = {"reliability": [[1, 0.68, 0.5], [2, 0.95, 0.9]], "risk_coverage": [[0.5, 0.01, 0.005], [1.0, 0.02, 0.02]]}
     report = {how: {"optical": one, "kept": one} for how in ("spread alone", "calibrated")}
     columns = un.coverage_columns(report)
-    assert list(columns)[2:] == ["optical, spread alone", "optical, calibrated", "kept, calibrated"]
-    assert columns["errors within"] == ["1 std", "2 std"] and columns["kept, calibrated"] == [50, 90]
+    assert list(columns)[2:] == ["optical, spread", "optical, calibrated", "kept, calibrated"]
+    assert columns["within"] == ["1 std", "2 std"] and columns["kept, calibrated"] == [50, 90]
     curves = un.risk_curves(report)
     assert list(curves["kept"]) == ["calibrated", "oracle"]  # samples do not differ where a reading is kept
     assert curves["optical"]["oracle"] == ((0.5, 1.0), (0.005, 0.02))

@@ -2,12 +2,14 @@ import json
 
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_edt
 
 from ditr_lite.data import load_sample
 from ditr_lite.evaluation.statistics import paired_bootstrap
 from ditr_lite.files import write_depth
 from ditr_lite.peers import system
 from ditr_lite.studies import peer_tables as compare
+from ditr_lite.viz.tables import WIDTH
 
 RNG = np.random.default_rng(0)
 LEVELS = {  # method -> RMSE in metres about which its frames lie
@@ -167,6 +169,11 @@ def test_failures_are_told_in_words(tmp_path):
     failures = compare.read_failures({"failures": {"regression": "val_00000"}}, tmp_path)
     told = compare.format_failures(failures)
     assert "+100.0" in told and told.endswith("the glass is too far as a whole")
+    near_outline = distance_transform_edt(sample.region) <= 3
+    rough = sample.depth_gt + np.where(np.indices(near_outline.shape)[1] % 2, 0.1, -0.1) * near_outline
+    told = compare.format_failures([("single_latent_diffusion", sample, rough)])
+    assert told.endswith("its shape is wrong, above all its outline")
+    assert max(map(len, told.splitlines())) <= WIDTH
 
 
 def test_the_training_is_told_from_the_results():

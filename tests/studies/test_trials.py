@@ -34,7 +34,7 @@ def test_the_table_says_when_the_choice_is_not_the_lowest():
     text = trials.format_trials(rows)
     assert "kernel: chosen small, though large has the lowest error (python a)" in text
     assert "depth: chosen two, which also has the lowest error (python b)" in text
-    assert text.count("<- chosen") == 2 and "39.0   dear" in text
+    assert text.count("<- chosen") == 2 and "39.0  dear" in text
 
 
 def scored(optical, whole):

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from ditr_lite.viz.tables import table
+from ditr_lite.evaluation import results, uncertainty
+from ditr_lite.studies import peer_tables, trials
+from ditr_lite.viz.tables import WIDTH, table
 
 
 def test_numbers_stand_right_and_text_left():
@@ -25,3 +27,16 @@ def test_a_whole_number_stored_as_a_float_keeps_its_digits():
 def test_columns_that_do_not_fit_are_refused(columns):
     with pytest.raises(ValueError, match="all of the same length"):
         table(columns)
+
+
+def test_the_tables_of_studies_fit_beside_a_file_browser():
+    calibration, peers = results.read("calibration"), results.read("peers")
+    texts = [
+        table(uncertainty.coverage_columns(calibration), 0),
+        trials.format_trials(trials.trials()).split("\n\n")[0],
+    ]
+    for split in peers["splits"].values():
+        makers = (peer_tables.format_peers, peer_tables.format_ablation, peer_tables.format_oracles)
+        texts += [make(split) for make in makers]
+    widths = {text.splitlines()[0]: max(map(len, text.splitlines())) for text in texts}
+    assert {heading: width for heading, width in widths.items() if width > WIDTH} == {}
