@@ -24,7 +24,7 @@ from ..baselines import REGISTRY
 from ..data import Sample
 from ..evaluation.statistics import bootstrap_mean, format_interval, interval, mean_known, ratio_bootstrap
 from ..pipeline import Ditr, compose
-from ..units import clean_depth
+from ..units import MAX_DEPTH_M, MIN_DEPTH_M, clean_depth
 
 Condition = Callable[[Sample, float], Sample]
 BORDER = 0.12  # of the width, beside a room behind, in which nothing is scored
@@ -275,7 +275,7 @@ def run_disturbances(
     Returns:
         disturbance -> "found" and "given" -> the RMSE in metres inside the region, divided by the scale:
         ``disturbed_m``, ``undisturbed_m`` and, where readings are sparse, ``linear_m`` of linear interpolation, each
-        one value a frame, None where nothing can be scored.
+        one value a frame, None where nothing can be scored or no camera could give such depth.
     """
     rows = {name: {region: _empty_row(name) for region in REGIONS} for name in disturbances}
     for sample in tqdm(samples, desc="disturbances", unit="frame", **({} if progress else {"disable": True})):
@@ -284,11 +284,18 @@ def run_disturbances(
             made = disturb(sample)
             for region in REGIONS:
                 row = rows[name][region]
-                row["disturbed_m"].append(_error(_completed(ditr, made.frame, region), made.frame, made.scale))
+                seen = _can_be(made.frame)
+                disturbed = _error(_completed(ditr, made.frame, region), made.frame, made.scale) if seen else None
+                row["disturbed_m"].append(disturbed)
                 row["undisturbed_m"].append(_error(plain[region], replace(sample, region=made.counterpart)))
                 if "linear_m" in row:
                     row["linear_m"].append(_error(linear(made.frame), made.frame))
     return rows
+
+
+def _can_be(frame: Sample) -> bool:
+    """Return whether a camera could give this depth: a tenth of 8 cm is refused as a wrong unit."""
+    return MIN_DEPTH_M <= np.median(frame.depth[frame.depth > 0]) < MAX_DEPTH_M
 
 
 def _empty_row(name: str) -> dict[str, list]:

@@ -1,6 +1,7 @@
 """No condition crashes or gives a value that is not finite; each changes what it says and nothing else."""
 
 import json
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -204,6 +205,15 @@ def test_disturbances_are_run_with_the_region_found_and_given(tiny):
     assert rows["distance x 3"]["given"]["disturbed_m"] == pytest.approx(
         rows["distance x 3"]["given"]["undisturbed_m"], rel=0.02
     )  # distance itself does not matter to the networks
+
+
+def test_what_no_camera_could_read_is_not_scored(tiny):
+    near = replace(SCENE, depth=SCENE.depth * np.float32(0.1), depth_gt=SCENE.depth_gt * np.float32(0.1))
+    some = {"distance x 0.1": robustness.DISTURBANCES["distance x 0.1"]}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of the near frame itself
+        rows = robustness.run_disturbances(tiny, [near, SCENE], some, progress=False)["distance x 0.1"]
+    assert rows["found"]["disturbed_m"][0] is None and rows["found"]["disturbed_m"][1] is not None
 
 
 def test_the_committed_file_holds_every_condition_and_nothing_that_is_not_finite():
