@@ -16,69 +16,57 @@ def check_match(attempt: Function) -> bool:
     differences wins, of equal ones the smallest disparity.
     """
 
-    def costs(left, right, row, column, half, largest, step=-1):
-        left, right = left.astype(float), right.astype(float)
-        rows = slice(row - half, row + half + 1)
-        window = left[rows, column - half : column + half + 1]
-        at = [column + step * d for d in range(largest + 1)]
-        return np.array([np.abs(window - right[rows, c - half : c + half + 1]).sum() for c in at])
+    def right_answer(*case, **how):
+        return int(_costs(*case, **how).argmin())
 
-    def right_answer(*case):
-        return int(costs(*case).argmin())
-
-    def differences(left, right, row, column, half, largest):
-        rows = slice(row - half, row + half + 1)
-        window = left[rows, column - half : column + half + 1]
-        return [window - right[rows, column - d - half : column - d + half + 1] for d in range(largest + 1)]
-
-    def wrapped(*case):
-        return int(np.argmin([np.abs(d).sum() for d in differences(*case)]))
-
-    def signed(left, right, *case):
-        return int(np.argmin([d.sum() for d in differences(left.astype(float), right.astype(float), *case)]))
+    def instead(**how):
+        return lambda *case: right_answer(*case, **how)
 
     def with_window(change):
         return lambda *c: right_answer(*c[:4], change(c[4]), c[5])
 
-    def even(left, right, row, column, half, largest):
-        rows, width = slice(row - half, row + half), slice(column - half, column + half)
-        window = left[rows, width].astype(float)
-        other = [right[rows, width.start - d : width.stop - d] for d in range(largest + 1)]
-        return int(np.argmin([np.abs(window - o).sum() for o in other]))
-
-    def from_one(*case):
-        return 1 + int(costs(*case)[1:].argmin())
-
     def last_of_equals(*case):
-        return case[5] - int(costs(*case)[::-1].argmin())
+        return case[5] - int(_costs(*case)[::-1].argmin())
 
     def row_alone(left, right, row, column, half, largest):
         return right_answer(left[row][None], right[row][None], 0, column, half, largest)
 
     cases = _matching_cases()
     mistakes = {
-        "disparity 0 takes part: count from 0, range(largest + 1)": from_one,
+        "disparity 0 takes part: count from 0, range(largest + 1)": lambda *c: 1 + int(_costs(*c)[1:].argmin()),
         "of equal costs the smallest disparity counts: compare with <, not with <=": last_of_equals,
         "one row is not enough: the window is 2 * half + 1 rows high, too": row_alone,
-        "`largest` is a disparity, too: range(largest) stops one before it, write range(largest + 1)": lambda *c: int(
-            costs(*c[:5], c[5] - 1).argmin()
+        "`largest` is a disparity, too: range(largest) stops one before it, write range(largest + 1)": lambda *c: (
+            right_answer(*c[:5], c[5] - 1)
         ),
         "the window is too large: it reaches `half` pixels to each side, 2 * half + 1 is its whole side": with_window(
             lambda h: 2 * h
         ),
-        "the window misses its last row and column: a slice ends before its second number, + half + 1": even,
-        "uint8 differences wrap around (2 - 3 = 255): convert to float or int first": wrapped,
-        "the match lies further left in the right image: column - d, not column + d": lambda *c: int(
-            costs(*c, step=1).argmin()
+        "the window misses its last row and column: a slice ends before its second number, + half + 1": instead(end=0),
+        "uint8 differences wrap around (2 - 3 = 255): convert to float or int first": instead(
+            cost=lambda a, b: np.abs(a - b).sum()
         ),
-        "that is the worst match: the smallest cost wins": lambda *c: int(costs(*c).argmax()),
-        "that is the smallest cost itself; the disparity is where it occurs": lambda *c: costs(*c).min(),
+        "the match lies further left in the right image: column - d, not column + d": instead(step=1),
+        "that is the worst match: the smallest cost wins": lambda *c: int(_costs(*c).argmax()),
+        "that is the smallest cost itself; the disparity is where it occurs": lambda *c: _costs(*c).min(),
         "that is the column of the match; the disparity is the shift": lambda *c: c[3] - right_answer(*c),
         "one pixel is not enough: compare the whole window": with_window(lambda h: 0),
         "disparities start at 0: the result is one too large": lambda *c: right_answer(*c) + 1,
-        "the differences cancel: take absolute values before the sum": signed,
+        "the differences cancel: take absolute values before the sum": instead(
+            cost=lambda a, b: (a.astype(float) - b).sum()
+        ),
     }
     return check("block matching", attempt, right_answer, cases, mistakes)
+
+
+def _absolute(a: np.ndarray, b: np.ndarray) -> float:
+    return np.abs(a.astype(float) - b).sum()
+
+
+def _costs(left, right, row, column, half, largest, step=-1, end=1, cost=_absolute) -> np.ndarray:
+    """Return the cost of every disparity, (largest + 1,); the last three are what a mistake may have otherwise."""
+    rows, columns = slice(row - half, row + half + end), np.arange(column - half, column + half + end)
+    return np.array([cost(left[rows, columns], right[rows, columns + step * d]) for d in range(largest + 1)])
 
 
 def _matching_cases() -> list[tuple]:
