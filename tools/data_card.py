@@ -272,7 +272,7 @@ in `rgb.jpg` and nothing else: test_00007, 42, 64, 73, 108, 113, 120 and 132.
 ### Rooms
 
 The same command renders them. A scene stands on a bounded table, on the floor, in a corner, in a bin, on a shelf, or
-far away in a hall, 0.1 to 3 m from the camera, with a room behind it: walls, three quarters of them 1.5 to 6 m behind,
+far away in a hall, 0.1 to 3 m from the camera, with a room behind it: walls, most of them 1.5 to 6 m behind,
 furniture, posters. Vessels stand, lie or lean; some hold a liquid, some have a cap or a label. Mitsuba 3
 traces {paths} paths a pixel, Intel Open Image Denoise cleans the picture, then come a lens's blur and a sensor's noise.
 The infrared pair ({infrared_paths} paths a pixel) has a baseline and search range that suit the distance. Half of the
@@ -288,8 +288,7 @@ nine tenths of them are nearer than 8 cm; or when the sensor reads less than a q
 {made}
 
 Seeds are taken from 0 upwards. The same seed, on the same machine and the versions in `environment.txt`, gives the same
-bytes. On another processor single infrared paths may end elsewhere, and with them some raw readings: of five scenes of
-`train` and `val` rendered again on another kind of processor, 235 to 1,264 of 49,152 differed, of three of `test` none.
+bytes. On another kind of processor single infrared paths may end elsewhere, and with them some raw readings.
 
 More training scenes than fit here, and all of `rooms_train`, of which none is here:
 
@@ -417,8 +416,8 @@ Of the statistics above, the median of `rooms` differs most from that of trainin
 - Light is traced in three colours: glass does not disperse it, and no caustic is sharp at this number of paths. In
   infrared each wall of glass passes a share that is drawn, not derived from the material.
 - On table tops vessels are empty; in rooms a film of air lies between a liquid and an upright wall, while at the
-  foot of a thick one it reaches up to 5 mm into the glass. The inside of a solid stem glass comes out of its foot by
-  a few millimetres. No scratches, no dust, no fingerprints anywhere. Shapes are bodies of revolution, prisms, boxes and
+  foot of a thick one it reaches a little into the glass. The inside of a solid stem glass comes a little out of its
+  foot. No scratches, no dust, no fingerprints anywhere. Shapes are bodies of revolution, prisms, boxes and
   plates; no handles, no folds, no people, no clutter beyond a dozen things on a table top and some twenty in a room.
 - Opaque surfaces of table tops carry procedural textures in colours more vivid than most rooms have. Rooms are
   built of boxes, and at {paths} paths a pixel the denoiser takes fine texture away, most in glass and mirrors.

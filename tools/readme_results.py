@@ -27,6 +27,7 @@ COMPARED = {  # method -> what it does, in the table at the head
     "keep_and_fill_debiased": "the same, readings inside moved by their mean error in training scenes",
 }
 IN_BRIEF = ("optical", "geometric")
+ALL = "All methods and pixels"  # what is folded of a split
 KEPT = ("rooms", "real", "denoiser", "bench", "robustness", "soak")  # results_*.json that have a paragraph
 
 
@@ -355,13 +356,12 @@ def main() -> None:
     before, rest = text.split(START)
     after = rest.split(END)[1]
     kept = {name: read(args.json.with_name(f"results_{name}.json")) for name in KEPT}
-    tables = {"Table tops (split test)": (read(args.json), args.json.name)}
-    if kept["rooms"]:
-        tables["Rooms (split rooms)"] = kept["rooms"], "results_rooms.json"
+    splits = {"Table tops": read(args.json)} | ({"Rooms": kept["rooms"]} if kept["rooms"] else {})
     frames = kept["real"]["frames"] if kept["real"] else {}
-    made = [brief({title.split(" (")[0]: result for title, (result, _) in tables.items()}, frames)]
-    for title, (result, file) in tables.items():
-        made.append(folded(section(result, title, file), "All methods and pixels"))
+    made = [brief(splits, frames)]
+    made.append(folded(section(splits["Table tops"], "Table tops (split test)", args.json.name), ALL))
+    if kept["rooms"]:
+        made.append(folded(section(kept["rooms"], "Rooms (split rooms)", "results_rooms.json"), ALL))
     if kept["real"]:
         made.append(folded(real(kept["real"]), "All frames"))
     if peer_tables.RESULTS.is_file():

@@ -4,10 +4,9 @@ Paper: Sec. V-D and Table IV compare single runs by their means, in which the lu
 not told apart from the effect. Below stand the paired interval over scenes, the seeds, and words for both. All
 intervals are percentile bootstraps (``scipy.stats.bootstrap``) at 95 %.
 
-That is their name; how often they hold the true mean depends on the scenes. In simulations that draw scenes from the
-committed differences of DITR to the baselines: about 93 % for the 128 table tops, 91 % for the rooms, where a few
-errors are huge, but about 80 and 65 % for eight scenes of each. Of three scenes an interval is their range, and holds
-the true mean in three cases of four at best.
+That is their name. Of a hundred scenes they hold the true mean a little less often, and clearly less often where a few
+scenes have huge errors, as in rooms, or of eight scenes. Of three scenes an interval is their range, and holds the true
+mean in three cases of four at best.
 """
 
 import warnings

@@ -153,6 +153,12 @@ def test_an_interval_of_few_scenes_holds_the_true_mean_less_often_than_its_name_
     assert least < np.mean([low <= 0 <= high for _, low, high in intervals]) < most
 
 
+def test_an_interval_holds_the_true_mean_less_often_where_a_few_scenes_have_huge_errors():
+    draws = np.random.default_rng(0).lognormal(sigma=1.5, size=(300, 100))
+    intervals = [statistics.bootstrap_mean(list(values), n=400) for values in draws]
+    assert 0.75 < np.mean([low <= np.exp(1.5**2 / 2) <= high for _, low, high in intervals]) < 0.91
+
+
 def test_of_three_scenes_the_interval_is_their_range():
     assert statistics.bootstrap_mean([1.0, 2.0, 6.0]) == (3.0, 1.0, 6.0)
 
