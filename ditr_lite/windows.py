@@ -42,14 +42,14 @@ class Frame:
         Of depth, a cell whose nearest reading is missing takes the one that lies closest to its centre, if it holds
         any: sparse or line-wise readings survive.
         """
-        method = cv2.INTER_NEAREST
         if image.ndim == 3:
             method = cv2.INTER_AREA if self.height < self.source[0] else cv2.INTER_LINEAR
-        kind = np.uint8 if image.dtype == bool else image.dtype
-        small = cv2.resize(image.astype(kind, copy=False), (self.width, self.height), interpolation=method)
-        if image.ndim == 2 and np.issubdtype(image.dtype, np.floating):
-            pool_readings(small, image)
-        return np.pad(small, self.padding + ((0, 0),) * (image.ndim - 2)).astype(image.dtype)
+            small = cv2.resize(image, (self.width, self.height), interpolation=method)
+        else:
+            small = at_centres(image, (self.height, self.width))
+            if np.issubdtype(image.dtype, np.floating):
+                pool_readings(small, image)
+        return np.pad(small, self.padding + ((0, 0),) * (image.ndim - 2))
 
     @property
     def padding(self) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -77,24 +77,33 @@ class Frame:
 
     def back(self, image: np.ndarray) -> np.ndarray:
         """Bring a map (H, W) back from the working size: masks by nearest, depth smoothly but not over edges."""
-        size = (self.source[1], self.source[0])
         image = image[: self.height, : self.width]
         if image.dtype == bool:
-            return cv2.resize(image.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
-        if size == (self.width, self.height):
+            return at_centres(image, self.source)
+        if image.shape == self.source:
             return image.copy()
-        smooth = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
-        columns = _nearest(size[0], self.width)
+        smooth = cv2.resize(image, self.source[::-1], interpolation=cv2.INTER_LINEAR)
+        columns = centres(self.width, self.source[1])
         for rows in strips(self.source):
-            nearest = image[_nearest(size[1], self.height)[rows, None], columns]
+            nearest = image[centres(self.height, self.source[0])[rows, None], columns]
             edge = np.abs(smooth[rows] - nearest) > 0.01 * np.abs(nearest)  # averages over a jump: flying pixels
             np.copyto(smooth[rows], nearest, where=edge)
         return smooth
 
 
-def _nearest(length: int, short: int) -> np.ndarray:
-    """Return which of ``short`` pixels each of ``length`` takes, as OpenCV's INTER_NEAREST does."""
-    return np.minimum(np.floor(np.arange(length) * (1 / (length / short))).astype(int), short - 1)
+def at_centres(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Resize an image (h, w) to (H, W) ``size`` by nearest: each cell takes the pixel that holds its centre.
+
+    OpenCV's ``INTER_NEAREST`` takes the pixel at a cell's corner, which lies up to half a cell aside from the colour
+    that its other methods put there.
+    """
+    rows, columns = (centres(n, count) for n, count in zip(image.shape, size, strict=True))
+    return image[rows[:, None], columns]
+
+
+def centres(length: int, count: int) -> np.ndarray:
+    """Return (count,) int: which of ``length`` pixels in a row hold the centres of ``count`` cells of equal width."""
+    return (2 * np.arange(count) + 1) * length // (2 * count)
 
 
 def fit_frame(source: tuple[int, int], size: tuple[int, int]) -> Frame:

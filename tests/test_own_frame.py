@@ -45,7 +45,7 @@ def photographed():
     """Return a frame of 640 x 480 as a camera gives it: colour and depth with holes, nothing else."""
     sample = load_sample(list_samples("rooms_val")[4])
     rgb = cv2.resize(sample.rgb, (640, 480), interpolation=cv2.INTER_CUBIC)
-    depth = cv2.resize(sample.depth, (640, 480), interpolation=cv2.INTER_NEAREST)
+    depth = cv2.resize(sample.depth, (640, 480), interpolation=cv2.INTER_NEAREST_EXACT)
     assert (depth == 0).any()
     return rgb, depth
 

@@ -56,6 +56,25 @@ def test_depth_is_never_averaged_and_missing_stays_missing():
     assert frame.into(np.full((120, 170, 3), 9, np.uint8)).shape == (64, 96, 3)
 
 
+@pytest.mark.parametrize("source", [(720, 1280), (192, 256), (97, 97), (51, 51)])
+def test_depth_and_masks_lie_where_colour_lies(source):
+    # columns numbered in colour and in depth, and a mask of the left half; at corners they lie up to half a cell aside
+    columns = np.broadcast_to(np.linspace(20, 220, source[1], dtype=np.float32), source)
+    frame = fit_frame(source, (192, 256))
+    inner = np.s_[: frame.height, 8 : frame.width - 8]
+    cell = 200 / frame.width
+    colour = frame.into(np.repeat(columns[..., None], 3, axis=2).round().astype(np.uint8))[inner][..., 0]
+    depth = frame.into(columns.copy())[inner]
+    assert abs(np.mean(depth - colour.astype(np.float32))) < 0.2 * cell  # colour is rounded to whole numbers
+    mask = frame.into(columns < 120)[inner]
+    assert abs(mask.mean() - (depth < 120).mean()) < 0.01
+    # and back: what was drawn at the working size comes to lie in the middle of the frame again, in every way
+    small = np.zeros((192, 256), np.float32)
+    small[: frame.height, : frame.width // 2] = 1
+    for image in (small, small > 0):
+        assert abs(frame.back(image).mean() - (frame.width // 2) / frame.width) <= 0.5 / source[1] + 1e-6
+
+
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 10**6), st.integers(1, 60))
 def test_sparse_readings_survive_the_way_into_the_working_size(seed, count):

@@ -30,7 +30,7 @@ from ..training import recipes
 from ..training.parts import painter_of
 from ..training.scenes import Pool, load_scenes
 from ..units import clean_depth
-from ..windows import close_ups, fit_frame
+from ..windows import at_centres, close_ups, fit_frame
 from .costs import count_flops
 
 MIN_RUNS = 5
@@ -127,9 +127,8 @@ def where_time_goes(fn: Callable[[], object], runs: int = 3) -> dict[str, float]
 
 def enlarged(sample: Sample, size: tuple[int, int] = LARGE) -> Sample:
     """Return the frame stretched to (height, width), colour smoothly and depth by nearest neighbour: to be timed."""
-    wide = size[::-1]
-    rgb = cv2.resize(sample.rgb, wide, interpolation=cv2.INTER_CUBIC)
-    return replace(sample, rgb=rgb, depth=cv2.resize(sample.depth, wide, interpolation=cv2.INTER_NEAREST))
+    rgb = cv2.resize(sample.rgb, size[::-1], interpolation=cv2.INTER_CUBIC)
+    return replace(sample, rgb=rgb, depth=at_centres(sample.depth, size))
 
 
 def stages(

@@ -66,8 +66,7 @@ def summarise_peers(scores: Scores) -> dict[str, Any]:
         ``frames``: their number; ``mean``: method -> set -> [mean, low, high] in metres; ``ratio``: method -> set ->
         mean of the paper's DITR at equal time (:data:`PAPERS`) over that of the method; ``minus_ditr``: method -> set
         -> [difference to the shipped system], if that was scored; ``minus_equal``: the same to :data:`EQUAL`, DITR with
-        our final step; ``minus_papers``: to the paper's; ``ablation``: seed -> step -> set -> [relative change of the
-        mean].
+        our final step; ``ablation``: seed -> step -> set -> [relative change of the mean].
     """
     names = list(next(iter(scores.values())))
     column = {n: {k: [frame[n][k] for frame in scores.values()] for k in SETS} for n in names}
@@ -76,7 +75,7 @@ def summarise_peers(scores: Scores) -> dict[str, Any]:
     if PAPERS in names:
         methods = [n for n in names if n not in (*ORACLES, *EQUAL_ORACLES)]  # an oracle may err nowhere
         out["ratio"] = {n: {k: ratio_bootstrap(column[PAPERS][k], column[n][k]) for k in SETS} for n in methods}
-    for key, against in (("minus_ditr", SHIPPED), ("minus_equal", EQUAL), ("minus_papers", PAPERS)):
+    for key, against in (("minus_ditr", SHIPPED), ("minus_equal", EQUAL)):
         if against in names:
             out[key] = {n: {k: paired_bootstrap(column[n][k], column[against][k]) for k in SETS} for n in names}
     seeds = [n.removeprefix("BB, seed ") for n in names if n.startswith("BB, seed ")]

@@ -25,6 +25,7 @@ from ..data import Sample
 from ..evaluation.statistics import bootstrap_mean, format_interval, interval, mean_known, ratio_bootstrap
 from ..pipeline import Ditr, compose
 from ..units import MAX_DEPTH_M, MIN_DEPTH_M, clean_depth
+from ..windows import at_centres
 
 Condition = Callable[[Sample, float], Sample]
 BORDER = 0.12  # of the width, beside a room behind, in which nothing is scored
@@ -411,7 +412,7 @@ def _mirror(array: np.ndarray, top: int, bottom: int, left: int, right: int) -> 
 def _resize(array: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     if array.shape[:2] == size:
         return np.ascontiguousarray(array)
-    how = cv2.INTER_AREA if array.ndim == 3 and array.shape[0] > size[0] else cv2.INTER_NEAREST
-    how = cv2.INTER_LINEAR if array.ndim == 3 and how == cv2.INTER_NEAREST else how
-    resized = cv2.resize(array.astype(np.uint8) if array.dtype == bool else array, size[::-1], interpolation=how)
-    return resized.astype(array.dtype)
+    if array.ndim == 2:
+        return at_centres(array, size)
+    how = cv2.INTER_AREA if array.shape[0] > size[0] else cv2.INTER_LINEAR
+    return cv2.resize(array, size[::-1], interpolation=how)
