@@ -25,6 +25,7 @@ from .units import readings_seen, strips
 MARGIN = 2.0  # side of a window over the longer side of what it must hold
 LEAST = 0.2  # smallest side, as a share of the frame's longer side
 MOST = 8  # windows in a frame; further blobs join the nearest window
+SAME = 1.4  # ratio of two distances beyond which they are of different surfaces, not of one at another level
 
 
 @dataclass(frozen=True)
@@ -37,19 +38,20 @@ class Frame:
     size: tuple[int, int]
 
     def into(self, image: np.ndarray) -> np.ndarray:
-        """Bring an image to the working size: colour by area, depth and masks by nearest; padding is 0 (missing).
+        """Bring an image to the working size: colour by area, depth and masks by nearest.
 
-        Of depth, a cell whose nearest reading is missing takes the one that lies closest to its centre, if it holds
-        any: sparse or line-wise readings survive.
+        Padding is missing depth and no mask; its colour is the picture's border, repeated as around training's views: a
+        black bar would be something to see. Of depth, a cell whose nearest reading is missing takes the one that lies
+        closest to its centre, if it holds any: sparse or line-wise readings survive.
         """
         if image.ndim == 3:
             method = cv2.INTER_AREA if self.height < self.source[0] else cv2.INTER_LINEAR
             small = cv2.resize(image, (self.width, self.height), interpolation=method)
-        else:
-            small = at_centres(image, (self.height, self.width))
-            if np.issubdtype(image.dtype, np.floating):
-                pool_readings(small, image)
-        return np.pad(small, self.padding + ((0, 0),) * (image.ndim - 2))
+            return np.pad(small, (*self.padding, (0, 0)), mode="edge")
+        small = at_centres(image, (self.height, self.width))
+        if np.issubdtype(image.dtype, np.floating):
+            pool_readings(small, image)
+        return np.pad(small, self.padding)
 
     @property
     def padding(self) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -144,7 +146,8 @@ def level(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> Tensor 
     """Return how far the readings lie above a painting, filled where there is none.
 
     The working size is smaller than a camera's picture: this gives a filled hole the level of its rim at full size, see
-    :func:`tie`. By ratios, so that distance does not matter.
+    :func:`tie`. By ratios, so that distance does not matter. Where an edge is painted a pixel aside, reading and
+    painting are of two surfaces (:data:`SAME`): their ratio says nothing of a level, and in a hole it would do harm.
 
     Args:
         painted: (H, W) metres, dense.
@@ -152,7 +155,7 @@ def level(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> Tensor 
         region: (H, W) bool, whose readings do not count either.
 
     Returns:
-        (1, 1, H/2, W/2) logarithm of the ratio, rounded up; None where no reading counts.
+        (1, 1, H/2, W/2) logarithm of the ratio, H/2 and W/2 rounded up; None where there is no reading.
     """
     known = readings_seen(depth)
     known &= ~region
@@ -160,7 +163,8 @@ def level(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> Tensor 
         return None
     pooled = []
     for rows in strips(painted.shape):
-        maps = (_ratio(painted[rows], depth[rows], known[rows]), known[rows])
+        ratio = _ratio(painted[rows], depth[rows], known[rows])
+        maps = (ratio, known[rows] & (np.abs(ratio) < np.log(SAME)))
         pooled.append(pool(*(torch.from_numpy(m.astype(np.float32))[None, None] for m in maps)))
     del painted, known  # of a large frame hundreds of megabytes, which filling needs
     mean, share = (torch.cat(parts, dim=2) for parts in zip(*pooled, strict=True))

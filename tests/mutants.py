@@ -547,6 +547,8 @@ FRAMES = [
             "np.log(np.where(known, depth, 1.0) / np.where(known, painted, 1.0))",
             "np.log(np.where(known, painted, 1.0) / np.where(known, depth, 1.0))",
         ),
+        ("tie: by another surface", " & (np.abs(ratio) < np.log(SAME))", ""),
+        ("padding: black", '(*self.padding, (0, 0)), mode="edge")', "(*self.padding, (0, 0)))"),
         ("tie: to the region, too", "    known &= ~region\n", ""),
     ),
     *family(

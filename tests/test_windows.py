@@ -75,6 +75,17 @@ def test_depth_and_masks_lie_where_colour_lies(source):
         assert abs(frame.back(image).mean() - (frame.width // 2) / frame.width) <= 0.5 / source[1] + 1e-6
 
 
+def test_padding_repeats_the_colour_of_the_border_and_holds_no_reading():
+    rgb = np.random.default_rng(0).integers(1, 256, (72, 128, 3)).astype(np.uint8)
+    frame = fit_frame((72, 128), (96, 128))
+    padded = frame.into(rgb)
+    assert padded.shape == (96, 128, 3) and np.array_equal(padded[72:], np.repeat(rgb[-1:], 24, axis=0))
+    assert (
+        not frame.into(np.ones((72, 128), np.float32))[72:].any()
+        and not frame.into(np.ones((72, 128), bool))[72:].any()
+    )
+
+
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 10**6), st.integers(1, 60))
 def test_sparse_readings_survive_the_way_into_the_working_size(seed, count):
@@ -156,13 +167,22 @@ def test_only_holes_are_raised_and_by_the_readings_that_count():
 
 
 @settings(deadline=None, max_examples=20)
-@given(st.floats(0.5, 2))
+@given(st.floats(0.75, 1.35))
 def test_a_painting_that_is_off_by_a_ratio_is_put_right(ratio):
     depth = np.where(table() > 0, table(), 0)
     whole = np.linspace(0.9, 0.5, 48)[:, None] * np.ones((1, 64))
     depth = np.where(depth > 0, whole, 0).astype(np.float32)
     tied = tied_to((ratio * whole).astype(np.float32), depth, np.zeros(depth.shape, bool))
     assert (depth == 0).any() and np.allclose(tied[depth == 0], whole[depth == 0], rtol=1e-4)
+
+
+def test_an_edge_that_is_painted_aside_does_not_move_the_hole_beside_it():
+    # a thing before a wall, and the shadow of parallax on the wall beside it, in which nothing was read
+    depth = np.full((48, 64), 3.0, np.float32)
+    depth[:, 20:30], depth[:, 30:36] = 0.8, 0
+    painted = np.full_like(depth, 3.0)
+    painted[:, 20:29] = 0.8  # the last column of the thing is painted as the wall
+    assert np.allclose(tied_to(painted, depth, np.zeros(depth.shape, bool))[:, 30:36], 3.0, rtol=1e-5)
 
 
 def test_without_a_reading_that_counts_there_is_no_level():
