@@ -220,9 +220,9 @@ PRESETS: dict[str, Config] = {
     "lite": Config(
         region=RegionConfig(levels=5, attention=2, blocks=1),
         refine=RefineConfig(  # threshold and temperature, as std: on validation scenes
-            looks=(1.5, 1.0, 2.0), threshold=0.4, median=3, dilate=3, iterations=1, temperature=1.2839
+            looks=(1.5, 1.0, 2.0), threshold=0.4, median=3, dilate=3, iterations=1, temperature=1.2812
         ),
-        std=StdConfig(base=(0.0619, 0.0142), factor=(6.0364, 11.4066), kept=0.0173, missed=0.1447),
+        std=StdConfig(base=(0.06, 0.0161), factor=(6.2563, 7.1056), kept=0.0172, missed=0.147),
     ),
     "paper": Config(
         name="paper",
