@@ -538,7 +538,7 @@ FRAMES = [
         "readings",
         "windows",
         ("taken at corners", "(2 * np.arange(count) + 1) * length", "2 * np.arange(count) * length"),
-        ("not pooled", "                pool_readings(small, image)\n", "                pass\n"),
+        ("not pooled", "            pool_readings(small, image)\n", "            pass\n"),
         ("pooled: the farthest from the centre", "order = np.argsort(-away", "order = np.argsort(away"),
         ("pooled: over readings", "(image > 0) & (small == 0)[", "(image > 0) & (small >= 0)["),
         ("tie: by differences", "np.multiply(painted[rows], np.exp", "np.add(painted[rows], np.exp"),
