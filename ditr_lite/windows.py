@@ -85,9 +85,9 @@ class Frame:
         if image.shape == self.source:
             return image.copy()
         smooth = cv2.resize(image, self.source[::-1], interpolation=cv2.INTER_LINEAR)
-        columns = centres(self.width, self.source[1])
+        lines, columns = centres(self.height, self.source[0]), centres(self.width, self.source[1])
         for rows in strips(self.source):
-            nearest = image[centres(self.height, self.source[0])[rows, None], columns]
+            nearest = image[lines[rows, None], columns]
             edge = np.abs(smooth[rows] - nearest) > 0.01 * np.abs(nearest)  # averages over a jump: flying pixels
             np.copyto(smooth[rows], nearest, where=edge)
         return smooth

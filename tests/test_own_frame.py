@@ -12,6 +12,7 @@ import pytest
 from ditr_lite import pipeline
 from ditr_lite.config import preset
 from ditr_lite.data import list_samples, load_sample
+from ditr_lite.windows import at_centres
 
 ROOT = Path(__file__).resolve().parents[1]
 FRAME, LAST = "c-frame", "c28"  # the reader's cell, and the last one that works on it
@@ -45,7 +46,7 @@ def photographed():
     """Return a frame of 640 x 480 as a camera gives it: colour and depth with holes, nothing else."""
     sample = load_sample(list_samples("rooms_val")[4])
     rgb = cv2.resize(sample.rgb, (640, 480), interpolation=cv2.INTER_CUBIC)
-    depth = cv2.resize(sample.depth, (640, 480), interpolation=cv2.INTER_NEAREST_EXACT)
+    depth = at_centres(sample.depth, (480, 640))
     assert (depth == 0).any()
     return rgb, depth
 

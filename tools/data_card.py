@@ -256,7 +256,7 @@ hall. Some have neither glass nor metal.
   they paint now, it was rated alike by validation scenes and was worse on each of the three real frames.
 - And in how a hole is given the level of its rim (`windows.level`). A reading counts where it is less than 1.4 times as
   far or as near as what is painted. Every such limit that was tried lowers the error in the holes of validation rooms
-  by a third; on the three real frames with truth, lower ones lose what the levelling gains there, this one does not.
+  clearly; on the three real frames with truth, lower ones lose what the levelling gains there, this one does not.
 
 ## How they were made
 
