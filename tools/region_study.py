@@ -2,7 +2,7 @@
 
     python tools/region_study.py [--data outputs/scenes/train] [--steps 150] [--json FILE]
 
-One run makes the whole file, in about eight minutes on one core: the validation scenes are completed with the true
+One run makes the whole file, in half an hour to an hour on one core: the validation scenes are completed with the true
 region shrunk and grown, then with the found region refined in several ways, then with stage one fine-tuned (Paper: Sec.
 IV-B and V-B) in four ways: with the segmentation loss alone (the control), and with the final RMSE added, softly or
 straight through, at two weights.

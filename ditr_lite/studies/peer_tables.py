@@ -264,13 +264,16 @@ def format_real(real: Mapping[str, Mapping[str, Mapping[str, float | None]]]) ->
 
 
 def failure_frames(part: Mapping[str, Any]) -> dict[str, str]:
-    """Return peer -> the frame of a split where its optical error exceeds that of the paper's DITR by most."""
-    found = {}
+    """Return peer -> the frame of a split where its optical error exceeds that of the paper's DITR by most.
+
+    A frame that a peer before it has is left to that one: one hard frame would otherwise stand for all of them.
+    """
+    found: dict[str, str] = {}
     for peer in (n for n in IDEAS if n in part["mean"]):
         gaps = {
             frame: row[peer]["optical"] - row[PAPERS]["optical"]
             for frame, row in part["rmse_m"].items()
-            if row[peer]["optical"] is not None
+            if row[peer]["optical"] is not None and frame not in found.values()
         }
         if gaps:
             found[peer] = max(gaps, key=gaps.get)

@@ -80,6 +80,7 @@ def _sliders(draw, values, row, panels, size):
             options=[(f"{v:g}" if isinstance(v, float) else str(v), v) for v in options],
             value=row[0][name],
             description=name.replace("_", " "),
+            tooltip=f"{name.replace('_', ' ')}: move to draw again",  # without, the page shows "null" at the label
             continuous_update=False,
             style={"description_width": "initial"},
         )

@@ -150,6 +150,17 @@ def test_the_worst_frame_is_where_a_peer_loses_most_to_ditr(report, scores):
     assert compare.failure_frames({**report, "rmse_m": worse}) == {"regression": "f7"}
 
 
+def test_a_frame_stands_for_one_peer_only(report, scores):
+    peers = ("regression", "adversarial")
+    worse = {f: {**row, **{p: {**row["regression"]} for p in peers}} for f, row in scores.items()}
+    for peer, second in zip(peers, (0.0, 8.0), strict=True):
+        worse["f7"][peer]["optical"] = 9.0
+        worse["f5"][peer]["optical"] += second
+    mean = dict.fromkeys(peers, {})
+    found = compare.failure_frames({"mean": mean, "rmse_m": worse})
+    assert found == {"regression": "f7", "adversarial": "f5"}
+
+
 def test_an_error_has_a_character():
     truth, region = np.full((20, 20), 0.5), np.zeros((20, 20), bool)
     region[4:16, 4:16] = True

@@ -44,6 +44,7 @@ def test_a_front_end_is_recognised_by_its_trace(no_front_end, monkeypatch, name)
 def test_sliders_start_at_the_first_setting_and_redraw():
     slope, offset, image, still = knobs(line, VALUES, ROW, live=True).children
     assert (slope.value, offset.value) == (0.5, 1) and [v for _, v in slope.options] == [0.5, 1.0, 2.0]
+    assert slope.tooltip == "slope: move to draw again"
     before = image.value
     assert Image.open(io.BytesIO(before)).format == "PNG"
     slope.value = 2.0
