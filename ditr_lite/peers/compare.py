@@ -207,7 +207,7 @@ def paint_failures(
     failures: Mapping[str, str],
     folder: Path | str,
 ) -> None:
-    """Write what each peer completes of its worst frame (peer -> frame) as ``folder/PEER.png``, in millimetres."""
+    """Write what each peer completes of its frame (peer -> frame) as ``folder/PEER.png``, in millimetres."""
     Path(folder).mkdir(parents=True, exist_ok=True)
     by_name = {sample.name: (sample, found) for sample, found in frames}
     for peer, frame in failures.items():

@@ -11,6 +11,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from ..baselines import REGISTRY
 from ..data import SAMPLES, Sample, load_sample
@@ -20,8 +21,9 @@ from ..paper.tables import T1, T4, T5
 from ..store import WEIGHTS
 
 RESULTS = WEIGHTS / "results_peers.json"
-PICTURES = SAMPLES / "peers"  # what each peer painted where it failed most
+PICTURES = SAMPLES / "peers"  # what each peer painted where it failed
 SETS = ("optical", "geometric", "whole")
+NEVER_M = 1e6  # gap of a frame that has no optical error, less than any
 SHIPPED, EQUAL = "ditr", "ditr, equal time"
 PAPERS = "+RR, seed 0"  # the paper's DITR at equal time, what peers are held against: our final step is not part of it
 ORACLES = {  # what is put in the place of one part of the shipped system
@@ -264,24 +266,23 @@ def format_real(real: Mapping[str, Mapping[str, Mapping[str, float | None]]]) ->
 
 
 def failure_frames(part: Mapping[str, Any]) -> dict[str, str]:
-    """Return peer -> the frame of a split where its optical error exceeds that of the paper's DITR by most.
+    """Return peer -> a frame of a split where its optical error far exceeds that of the paper's DITR.
 
-    A frame that a peer before it has is left to that one: one hard frame would otherwise stand for all of them.
+    A frame stands for one peer only, or one hard frame would stand for all: of all such choices, the one in which the
+    peers lose most together.
     """
-    found: dict[str, str] = {}
-    for peer in (n for n in IDEAS if n in part["mean"]):
-        gaps = {
-            frame: row[peer]["optical"] - row[PAPERS]["optical"]
-            for frame, row in part["rmse_m"].items()
-            if row[peer]["optical"] is not None and frame not in found.values()
-        }
-        if gaps:
-            found[peer] = max(gaps, key=gaps.get)
-    return found
+    peers, frames = [n for n in IDEAS if n in part["mean"]], list(part["rmse_m"])
+    gaps = np.full((len(peers), len(frames)), -NEVER_M)
+    for j, row in enumerate(part["rmse_m"].values()):
+        for i, peer in enumerate(peers):
+            if row[peer]["optical"] is not None:
+                gaps[i, j] = row[peer]["optical"] - row[PAPERS]["optical"]
+    chosen = zip(*linear_sum_assignment(gaps, maximize=True), strict=True)
+    return {peers[i]: frames[j] for i, j in chosen if gaps[i, j] > -NEVER_M}
 
 
 def read_failures(report: Mapping[str, Any], folder: Path | str = PICTURES) -> list[tuple[str, Sample, np.ndarray]]:
-    """Return peer, frame and completed depth (H, W) in metres of each peer's worst frame beside DITR.
+    """Return peer, frame and completed depth (H, W) in metres of each peer's bad frame beside DITR.
 
     Raises:
         ValueError: when a picture that the results name is not there.
@@ -323,7 +324,7 @@ def error_character(depth: np.ndarray, truth: np.ndarray, region: np.ndarray) ->
 
 
 def format_failures(failures: Sequence[tuple[str, Sample, np.ndarray]]) -> str:
-    """Return what kind of error each peer makes on its worst frame, mm, and what most of its error is, in words."""
+    """Return what kind of error each peer makes on its bad frame, mm, and what most of its error is, in words."""
     heads = ("frame", "RMSE", "offset", "shape", "outline")
     lines = ["mm".ljust(25) + heads[0].ljust(12) + "".join(h.rjust(9) for h in heads[1:])]
     for peer, sample, depth in failures:
