@@ -23,7 +23,6 @@ from ..store import WEIGHTS
 RESULTS = WEIGHTS / "results_peers.json"
 PICTURES = SAMPLES / "peers"  # what each peer painted where it failed
 SETS = ("optical", "geometric", "whole")
-NEVER_M = 1e6  # gap of a frame that has no optical error, less than any
 SHIPPED, EQUAL = "ditr", "ditr, equal time"
 PAPERS = "+RR, seed 0"  # the paper's DITR at equal time, what peers are held against: our final step is not part of it
 ORACLES = {  # what is put in the place of one part of the shipped system
@@ -271,14 +270,11 @@ def failure_frames(part: Mapping[str, Any]) -> dict[str, str]:
     A frame stands for one peer only, or one hard frame would stand for all: of all such choices, the one in which the
     peers lose most together.
     """
-    peers, frames = [n for n in IDEAS if n in part["mean"]], list(part["rmse_m"])
-    gaps = np.full((len(peers), len(frames)), -NEVER_M)
-    for j, row in enumerate(part["rmse_m"].values()):
-        for i, peer in enumerate(peers):
-            if row[peer]["optical"] is not None:
-                gaps[i, j] = row[peer]["optical"] - row[PAPERS]["optical"]
-    chosen = zip(*linear_sum_assignment(gaps, maximize=True), strict=True)
-    return {peers[i]: frames[j] for i, j in chosen if gaps[i, j] > -NEVER_M}
+    peers = [n for n in IDEAS if n in part["mean"]]
+    rows = {frame: row for frame, row in part["rmse_m"].items() if row[PAPERS]["optical"] is not None}  # with a region
+    gaps = np.array([[row[peer]["optical"] - row[PAPERS]["optical"] for row in rows.values()] for peer in peers])
+    chosen = linear_sum_assignment(gaps.reshape(len(peers), len(rows)), maximize=True)
+    return {peers[i]: list(rows)[j] for i, j in zip(*chosen, strict=True)}
 
 
 def read_failures(report: Mapping[str, Any], folder: Path | str = PICTURES) -> list[tuple[str, Sample, np.ndarray]]:
