@@ -265,7 +265,7 @@ def format_real(real: Mapping[str, Mapping[str, Mapping[str, float | None]]]) ->
 
 
 def failure_frames(part: Mapping[str, Any]) -> dict[str, str]:
-    """Return peer -> a frame of a split where its optical error far exceeds that of the paper's DITR.
+    """Return peer -> a frame of a split where its optical error exceeds that of the paper's DITR.
 
     A frame stands for one peer only, or one hard frame would stand for all: of all such choices, the one in which the
     peers lose most together.
