@@ -25,6 +25,7 @@ from .units import readings_seen, strips
 MARGIN = 2.0  # side of a window over the longer side of what it must hold
 LEAST = 0.2  # smallest side, as a share of the frame's longer side
 MOST = 8  # windows in a frame; further blobs join the nearest window
+RIM = 2  # pixels, as networks see them, by which windows show the region wider than it is
 SAME = 1.4  # ratio of two distances beyond which they are of different surfaces, not of one at another level
 
 
@@ -297,7 +298,8 @@ def close_ups(
     """Return the windows of a region: each with the (H, W) bool pixels it paints, its frame and what it shows.
 
     What it shows are rgb, depth and region, cut out and brought to ``side`` x ``side`` pixels. A window far from all
-    readings shows ``spare`` instead of ``depth``.
+    readings shows ``spare`` instead of ``depth``. The region is shown wider by :data:`RIM`: readings right beside glass
+    are often wrong, and shown as known they would spread into it. What is painted stays the region itself.
 
     Args:
         rgb: (H, W, 3) uint8.
@@ -312,7 +314,9 @@ def close_ups(
         read = inner.into(window.cut(depth))
         if not read.any():  # every reading is in some cell: there is none
             read = inner.into(window.cut(spare() if callable(spare) else spare))
-        found.append((window, pixels, inner, (inner.into(window.cut(rgb)), read, inner.into(window.cut(region)))))
+        shown = inner.into(window.cut(region)).astype(np.uint8)
+        wider = cv2.dilate(shown, np.ones((2 * RIM + 1,) * 2, np.uint8)) > 0
+        found.append((window, pixels, inner, (inner.into(window.cut(rgb)), read, wider)))
     return found
 
 

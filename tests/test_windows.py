@@ -8,11 +8,13 @@ from ditr_lite.windows import (
     LEAST,
     MARGIN,
     MOST,
+    RIM,
     Layer,
     Painting,
     Window,
     box_around,
     choose_windows,
+    close_ups,
     fit_frame,
     largest_piece,
     level,
@@ -291,6 +293,15 @@ def test_more_things_than_windows_join_the_nearest_one():
 
 def test_no_region_needs_no_window():
     assert choose_windows(np.zeros((30, 40), bool)) == []
+
+
+def test_a_window_shows_the_region_wider_but_paints_the_region_itself():
+    region = blobs((120, 160), (40, 60, 80, 100))  # its window is 80 pixels wide and shown with as many
+    ((window, pixels, _, (_, _, shown)),) = close_ups(
+        np.zeros((120, 160, 3), np.uint8), np.ones((120, 160), np.float32), region, 80, np.ones((120, 160))
+    )
+    assert window == Window(20, 40, 80) and np.array_equal(pixels, region)
+    assert np.array_equal(shown, blobs((80, 80), (20 - RIM, 20 - RIM, 60 + RIM, 60 + RIM)))
 
 
 def test_the_largest_piece_is_found():
