@@ -373,7 +373,10 @@ def read_mask(path: Path | str) -> np.ndarray:
     if top == NO_READING and mask.dtype == np.uint16:
         mask, top = mask // 257, 255
     if 1 < top < MASK_LEVEL or top > 255:
-        raise ValueError(f"{path} should be a mask of 0 and 255 (or 0 and 1), but its largest value is {top}")
+        raise ValueError(
+            f"{path} should be a mask of 0 and 255 (or 0 and 1), but its largest value is {top}: of a picture of labels, "
+            "save where they are glass or metal"
+        )
     return mask > 0 if top <= 1 else mask >= MASK_LEVEL
 
 
@@ -640,7 +643,8 @@ def read_intrinsics(path: Path | str, size: tuple[int, int] | None = None) -> Ca
 
     Raises:
         ValueError: for a file of another kind, an unknown or contradictory size, a number that is not finite, a
-            focal length <= 0, or a matrix that is of another picture or normalised.
+            focal length <= 0, or a matrix that is of another picture or normalised. A centre far from the middle, as
+            a crop's is, needs a file that says the picture's size.
     """
     path = Path(path)
     if not path.is_file():
@@ -661,22 +665,23 @@ def read_intrinsics(path: Path | str, size: tuple[int, int] | None = None) -> Ca
         raise ValueError(f"{path} is for pictures of {own} (height, width), not {tuple(size)}: use Camera.resized")
     height, width = own or size
     camera = Camera(values["fx"], values["fy"], values["cx"], values["cy"], int(width), int(height))
-    _check_camera(path, camera)
+    _check_camera(path, camera, sized=own is not None)
     return camera
 
 
-def _check_camera(path: Path, camera: Camera) -> None:
-    """Refuse a camera that cannot be of its picture."""
+def _check_camera(path: Path, camera: Camera, sized: bool) -> None:
+    """Refuse a camera that cannot be of its picture; ``sized``: the file itself says how large that is."""
     if camera.width < 1 or camera.height < 1:
         raise ValueError(f"{path} should give a picture's size in pixels, got {camera.width} x {camera.height}")
     across, down = (camera.cx + 0.5) / camera.width, (camera.cy + 0.5) / camera.height
     focal = (camera.fx / camera.width, camera.fy / camera.width)
     if max(camera.fx, camera.fy, camera.cx, camera.cy) < 5 < camera.width:
         raise ValueError(f"{path} is normalised (fx {camera.fx:g}, cx {camera.cx:g}): multiply by width and height")
-    if not all(CENTRE[0] <= share <= CENTRE[1] for share in (across, down)):
+    if not sized and not all(CENTRE[0] <= share <= CENTRE[1] for share in (across, down)):
         raise ValueError(
             f"{path} has its centre at ({camera.cx:g}, {camera.cy:g}), which is not near that of a picture of "
-            f"{camera.width} x {camera.height}: it is of another size; resize it with Camera.resized"
+            f"{camera.width} x {camera.height}: it is of another size; resize it with Camera.resized. Of a crop, let the "
+            "file say the size (width and height)"
         )
     if not all(FOCAL[0] <= share <= FOCAL[1] for share in focal) or not 0.5 <= camera.fx / camera.fy <= 2:
         raise ValueError(

@@ -100,6 +100,16 @@ def test_intrinsics_that_cannot_be_used(tmp_path, name, text, size, message):
         files.read_intrinsics(tmp_path / name, size)
 
 
+def test_a_crop_far_from_the_middle_is_read_where_its_file_says_how_large_it_is(tmp_path):
+    corner = Camera(92, 88, 64, 48, 128, 96).cropped(slice(0, 40), slice(70, 128))  # the centre lies outside it
+    numbers = "".join(f"{name}: {getattr(corner, name)}\n" for name in ("fx", "fy", "cx", "cy", "width", "height"))
+    (tmp_path / "crop.yaml").write_text(numbers)
+    assert files.read_intrinsics(tmp_path / "crop.yaml", (40, 58)) == corner
+    (tmp_path / "bare.yaml").write_text(numbers.split("width")[0])
+    with pytest.raises(ValueError, match="let the file say the size"):
+        files.read_intrinsics(tmp_path / "bare.yaml", (40, 58))
+
+
 def test_absent_intrinsics(tmp_path):
     for name in ("a.yaml", "k.txt", "k.npy"):
         with pytest.raises(ValueError, match="no file"):
