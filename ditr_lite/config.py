@@ -222,7 +222,7 @@ PRESETS: dict[str, Config] = {
         refine=RefineConfig(  # threshold and temperature, as std: on validation scenes
             looks=(1.5, 1.0, 2.0), threshold=0.4, median=3, dilate=3, iterations=1, temperature=1.2812
         ),
-        std=StdConfig(base=(0.06, 0.0161), factor=(6.2563, 7.1056), kept=0.0172, missed=0.147),
+        std=StdConfig(base=(0.0641, 0.0161), factor=(6.119, 7.1056), kept=0.0172, missed=0.147),
     ),
     "paper": Config(
         name="paper",

@@ -312,7 +312,7 @@ class Ditr:
             views, bounds = self.look([small], plan.guides[0], False, [maps])
             mean, spread = self.paint(0, views, bounds, steps, samples, seed, plan)
             return replace(painting, close=(Layer(mean[0], spread[0], frame),))
-        close = close_ups(rgb, depth, region, self.config.window, lambda: painting.geometric)
+        close = close_ups(rgb, depth, region, self.config.window, lambda: painting.geometric, plan.rim)
         if not close:
             return painting
         views, bounds = self.look([shown for *_, shown in close], plan.guides[0], True)

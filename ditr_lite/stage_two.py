@@ -16,6 +16,7 @@ from .boundary import M_DA, M_RGB
 from .conditioning import condition
 from .detail import detail_input
 from .schedule import NoiseSchedule
+from .windows import RIM
 
 BRANCHES = ("optical", "geometric")
 GROUP = 4  # samples that are drawn at a time: more take longer, but no more memory
@@ -31,12 +32,14 @@ class Plan:
         guides: which boundary map guides the painting of the region, and of the holes (S8); None is an empty map.
         evidence: whether readings inside the region are shown where the configuration allows it.
         detail: whether the finer final step is taken where there is one.
+        rim: pixels by which windows show the region wider than it is.
     """
 
     painters: tuple[str, str] = BRANCHES
     guides: tuple[int | None, int | None] = (M_DA, M_RGB)
     evidence: bool = True
     detail: bool = True
+    rim: int = RIM
 
 
 @dataclass(frozen=True)

@@ -294,12 +294,13 @@ def close_ups(
     region: np.ndarray,
     side: int,
     spare: np.ndarray | Callable[[], np.ndarray],
+    rim: int = RIM,
 ) -> list[tuple[Window, np.ndarray, Frame, tuple[np.ndarray, ...]]]:
     """Return the windows of a region: each with the (H, W) bool pixels it paints, its frame and what it shows.
 
     What it shows are rgb, depth and region, cut out and brought to ``side`` x ``side`` pixels. A window far from all
-    readings shows ``spare`` instead of ``depth``. The region is shown wider by :data:`RIM`: readings right beside glass
-    are often wrong, and shown as known they would spread into it. What is painted stays the region itself.
+    readings shows ``spare`` instead of ``depth``. The region is shown wider by ``rim``: readings right beside glass are
+    often wrong, and shown as known they would spread into it. What is painted stays the region itself.
 
     Args:
         rgb: (H, W, 3) uint8.
@@ -307,6 +308,7 @@ def close_ups(
         region: (H, W) bool.
         side: of what the networks see, pixels.
         spare: (H, W) metres, dense, such as the geometric branch paints, or a call that makes it.
+        rim: pixels, as networks see them, by which the region is shown wider than it is.
     """
     found = []
     for window, pixels in choose_windows(region):
@@ -315,7 +317,7 @@ def close_ups(
         if not read.any():  # every reading is in some cell: there is none
             read = inner.into(window.cut(spare() if callable(spare) else spare))
         shown = inner.into(window.cut(region)).astype(np.uint8)
-        wider = cv2.dilate(shown, np.ones((2 * RIM + 1,) * 2, np.uint8)) > 0
+        wider = cv2.dilate(shown, np.ones((2 * rim + 1,) * 2, np.uint8)) > 0
         found.append((window, pixels, inner, (inner.into(window.cut(rgb)), read, wider)))
     return found
 

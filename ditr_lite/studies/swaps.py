@@ -21,6 +21,7 @@ from ..paper.tables import T1, T5
 from ..pipeline import Ditr, compose
 from ..stage_two import BRANCHES, Plan
 from ..units import check_inputs
+from ..windows import RIM
 
 SCORED = ("optical", "geometric", "outside", "whole")
 PARTS = ("geometric", "optical", "whole")  # Table V's two, and Table I's
@@ -39,6 +40,7 @@ class Swap:
         only: the branch that paints everything, with its own guide; None for each its own part.
         evidence: whether the optical branch may see in-region readings.
         detail: whether the finer final step is taken.
+        rim: pixels by which windows show the region wider than it is.
         refine: of the found region; None for the configuration's.
         region: "found" by stage one, the "true" one, or "empty".
         against: the swap that it is compared with.
@@ -49,6 +51,7 @@ class Swap:
     only: str | None = None
     evidence: bool = True
     detail: bool = True
+    rim: int = RIM
     refine: RefineConfig | None = None
     region: str = "found"
     against: str = "default"
@@ -66,7 +69,7 @@ class Swap:
         """Return what stage two is told."""
         painters = (self.only, self.only) if self.only else BRANCHES
         guides = tuple(self.guides[BRANCHES.index(painter)] for painter in painters)
-        return Plan(painters, guides, self.evidence, self.detail)
+        return Plan(painters, guides, self.evidence, self.detail, self.rim)
 
 
 SWAPS: dict[str, Swap] = {
@@ -75,6 +78,7 @@ SWAPS: dict[str, Swap] = {
     "no guide": Swap("both branches get an empty boundary map", (None, None)),
     "no evidence": Swap("the readings inside the region are hidden, as in the paper", evidence=False),
     "no detail": Swap("the decoder's depth as it is, as in the paper", detail=False),
+    "exact region": Swap("windows show the region as it is, not two pixels wider", rim=0),
     "optical everywhere": Swap("the optical branch also fills the holes outside", only="optical"),
     "geometric everywhere": Swap("the geometric branch also repaints the region", only="geometric"),
     "empty region": Swap("no stage one: every reading is kept, every hole geometric", region="empty"),
@@ -82,6 +86,7 @@ SWAPS: dict[str, Swap] = {
     "refined 7/5/3": Swap("refined with the paper's kernels", refine=RefineConfig(7, 5, 3)),
     "true region": Swap("the true region is given", region="true"),
     "true, no evidence": Swap("the same without evidence", evidence=False, region="true", against="true region"),
+    "true, exact": Swap("the same shown as it is", rim=0, region="true", against="true region"),
 }
 
 

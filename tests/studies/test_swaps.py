@@ -10,6 +10,7 @@ from ditr_lite.data import Sample
 from ditr_lite.stage_two import BRANCHES
 from ditr_lite.studies import swaps
 from ditr_lite.studies.swaps import SWAPS, Swap, Swapped
+from ditr_lite.windows import RIM
 
 SHAPE = (64, 96)
 
@@ -96,6 +97,14 @@ def test_evidence_is_withheld_and_nothing_else(monkeypatch, tiny, frame):
     for (one, views), (other, same) in zip(with_it, without, strict=True):
         assert all(torch.equal(getattr(views, name), getattr(same, name)) for name in vars(views))
         assert replace(one, evidence=False) == replace(other, evidence=False)
+
+
+def test_the_region_can_be_shown_as_it_is_and_is_painted_as_it_is(monkeypatch, tiny, frame):
+    wider = given_to(monkeypatch, tiny, frame, Swap("", region="true"))[1][1].region
+    exact = given_to(monkeypatch, tiny, frame, SWAPS["true, exact"])[1][1].region
+    assert torch.equal(wider, torch.nn.functional.max_pool2d(exact, 2 * RIM + 1, 1, RIM))
+    painted = tiny(frame.rgb, frame.depth, frame.region, samples=1).depth != frame.depth
+    assert not painted[~frame.region & (frame.depth > 0)].any()
 
 
 @pytest.mark.parametrize("only", BRANCHES)
