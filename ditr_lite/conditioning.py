@@ -96,7 +96,7 @@ def fill(depth_n: Tensor, known: Tensor, rounds: int = 4) -> Tensor:
     Returns:
         (B, 1, H, W), equal to ``depth_n`` where known; 0 everywhere when nothing is known.
     """
-    if min(depth_n.shape[2:]) <= 1:
+    if max(depth_n.shape[2:]) <= 1:
         return depth_n * known
     mean, share = pool(depth_n, known)
     coarse = fill(mean, (share > 0).to(known.dtype), rounds)

@@ -150,6 +150,13 @@ def test_one_reading_fills_everything_and_none_gives_zero():
     assert torch.allclose(fill(3 * torch.ones_like(known), known), torch.tensor(3.0))
 
 
+@pytest.mark.parametrize("size", [(64, 96), (240, 320), (360, 640), (736, 1280), (120, 480), (1, 64)])
+def test_one_known_corner_fills_the_far_one(size):  # also where one side has shrunk to a pixel before the other
+    known = torch.zeros(1, 1, *size)
+    known[0, 0, 0, : size[1] // 8] = 1
+    assert torch.allclose(fill(torch.full_like(known, 0.7), known), torch.tensor(0.7), atol=1e-5)
+
+
 # --- the conditioning image -------------------------------------------------------------------------------------------
 
 
