@@ -66,6 +66,12 @@ class RefineConfig:
                 f"refine: expected a threshold between 0 and 1 and a temperature above 0, "
                 f"got {self.threshold} and {self.temperature}"
             )
+        _at_least(0, "refine", median=self.median, dilate=self.dilate, iterations=self.iterations)
+        if any(side > 0 and side % 2 == 0 for side in (self.median, self.dilate)):
+            raise ValueError(
+                f"refine: expected odd kernels (or 0 for none), got median {self.median} and dilate {self.dilate}: "
+                "an even one shifts the mask"
+            )
         if not self.looks or min(self.looks) < 1:
             raise ValueError(f"refine.looks: expected at least one size and none below 1, got {self.looks}")
 
@@ -98,6 +104,9 @@ class ScheduleConfig:
     beta_end: float = 0.0195
 
 
+COLOUR_CHANNELS = (24, 40, 112)  # of the pretrained encoder's features at strides 4, 8 and 16
+
+
 @dataclass(frozen=True)
 class UNetConfig:
     """Denoising U-Net (Paper: Sec. IV-C, "Denoising Step"): four levels, channels double per level."""
@@ -109,17 +118,15 @@ class UNetConfig:
     query: str = "feature"  # cross-attention: "feature" (the paper's) or "latent" (latent diffusion's)
     block: str = "residual"  # "residual" (GroupNorm, SiLU) or "plain" (the paper's 3x3 conv + ReLU)
     cond_channels: int = 32  # channels of F(x) that are concatenated to L_t
-    colour_channels: tuple[int, ...] = (
-        24,
-        40,
-        112,
-    )  # of the pretrained encoder's features at strides 4, 8, 16; () none
+    colour_channels: tuple[int, ...] = COLOUR_CHANNELS  # of the pretrained encoder's features; () takes none
     anchor: bool = True  # predict what to add to the encoded known depth; only with prediction "x0" (not in the paper)
 
     def __post_init__(self) -> None:
         _at_least(1, "unet", width=self.width, heads=self.heads, cond_channels=self.cond_channels)
         _at_most(WIDEST, "unet", width=self.width, heads=self.heads, cond_channels=self.cond_channels)
         _at_least(1, "unet.multipliers", levels=len(self.multipliers), smallest=min(self.multipliers, default=1))
+        if tuple(self.colour_channels) not in ((), COLOUR_CHANNELS):
+            raise ValueError(f"unet.colour_channels: expected () or {COLOUR_CHANNELS}, got {self.colour_channels}")
 
 
 @dataclass(frozen=True)
@@ -180,7 +187,7 @@ class Config:
     detail: DetailConfig = field(default_factory=DetailConfig)
     sampler: SamplerConfig = field(default_factory=SamplerConfig)
     std: StdConfig = field(default_factory=StdConfig)
-    evidence: bool = True  # feed in-region readings to the optical branch, flagged as unreliable (the paper drops them)
+    evidence: bool = True  # show in-region readings, flagged as unreliable, to the optical branch and the final step
 
     def __post_init__(self) -> None:
         stride = max(32, 4 * 2 ** (len(self.unet.multipliers) - 1))  # of latents, 4, doubled by each further level
@@ -188,6 +195,8 @@ class Config:
             raise ValueError(f"size: expected (height, width), both multiples of {stride}, got {self.size}")
         if self.window and (self.window < stride or self.window % stride):
             raise ValueError(f"window: expected 0 or a multiple of {stride}, got {self.window}")
+        if self.sampler.steps > self.schedule.timesteps:
+            raise ValueError(f"sampler.steps: expected at most {self.schedule.timesteps}, got {self.sampler.steps}")
         if self.unet.anchor and self.sampler.prediction != "x0":
             raise ValueError(f"sampler.prediction {self.sampler.prediction!r} needs unet.anchor=false")
 

@@ -23,7 +23,7 @@ from .region import ColourEncoder, RegionNet, refine_region
 from .schedule import make_schedule
 from .stage_two import BRANCHES, Painter, Plan, Sampler, Views, paint
 from .store import load_parts, usable_device
-from .unet import DenoisingUNet
+from .unet import STRIDE, DenoisingUNet
 from .units import MAX_SEED, check_count, check_inputs, strips, without_strays
 from .windows import Claim, Completion, Frame, Layer, Painting, close_ups, fit_frame, level
 
@@ -93,7 +93,7 @@ class Ditr:
             denoiser, of latents (N, C, h, w) and step t; ``x_T`` is the noise to begin with.
 
     Raises:
-        ValueError: for an unknown backend, or a device that is not there.
+        ValueError: for an unknown backend, a device that is not there, or latents of another size than the denoiser's.
     """
 
     def __init__(
@@ -105,6 +105,8 @@ class Ditr:
         device: str | torch.device = "cpu",
         sampler: Sampler = diffusion.sample,
     ):
+        if 2 ** len(config.autoencoder.multipliers) != STRIDE:
+            raise ValueError(f"autoencoder.multipliers: expected 2 levels, got {config.autoencoder.multipliers}")
         self.config, self.device = config, usable_device(device)
         self.parts = parts.to(self.device, memory_format=torch.channels_last).eval().requires_grad_(False)
         self.schedule = make_schedule(config.schedule)
@@ -165,7 +167,8 @@ class Ditr:
             region: (H, W) bool, transparent or reflective; None lets stage one find it.
             steps: denoising steps, 1 to the schedule's length; None for the configuration's.
             samples: draws whose mean is returned; ``std`` rests on their spread; None for the configuration's.
-            adjust: also repaint valid pixels outside the region; by default they are returned bit for bit.
+            adjust: also repaint valid pixels outside the region; by default they are returned bit for bit. Holes are
+                given the level of the readings around them, repainted readings are not: a step may show between them.
             seed: of the noise.
             threshold: probability above which stage one claims a pixel; None for the configuration's.
             refine: kernels of the refinement of what was claimed; None for the configuration's.
@@ -369,6 +372,8 @@ class Ditr:
         self, target: int, views: Views, bounds: Bounds, steps: int, samples: int, seed: int, plan: Plan
     ) -> tuple[np.ndarray, np.ndarray]:
         """Paint views of one target, 0 the region, 1 the holes: mean and spread over samples, (B, h, w) metres each."""
+        if not (plan.evidence and self.config.evidence):
+            views = views.without_evidence()
         branch = plan.painters[target]
         generator = torch.Generator().manual_seed(2 * seed + BRANCHES.index(branch))
         prediction = self.config.sampler.prediction

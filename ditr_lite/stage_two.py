@@ -5,7 +5,7 @@ window around each blob of the region for the optical one. All tensors are float
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
@@ -30,7 +30,8 @@ class Plan:
     Attributes:
         painters: which branch's networks paint the region, and which the holes.
         guides: which boundary map guides the painting of the region, and of the holes (S8); None is an empty map.
-        evidence: whether readings inside the region are shown where the configuration allows it.
+        evidence: whether readings inside the region are shown, to the optical branch and to the final step, where the
+            configuration allows it.
         detail: whether the finer final step is taken where there is one.
         rim: pixels by which windows show the region wider than it is.
     """
@@ -62,6 +63,10 @@ class Views:
     guide: Tensor
     boundary: Tensor
 
+    def without_evidence(self) -> "Views":
+        """Return the same views without the readings inside their regions, which the final step would see, too."""
+        return replace(self, valid=self.valid * (1 - self.region))
+
 
 @dataclass(frozen=True)
 class Painter:
@@ -72,7 +77,7 @@ class Painter:
         autoencoder: a ``autoencoder.VQAutoencoder``.
         encoder: pretrained, a ``region.ColourEncoder``; None where the denoiser takes no colour features.
         detail: the finer final step, a ``detail.DetailNet``; None leaves it out (the paper).
-        evidence: whether readings inside the region are shown.
+        evidence: whether the denoiser is shown the readings inside the region.
     """
 
     net: nn.Module

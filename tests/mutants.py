@@ -568,10 +568,17 @@ FRAMES = [
         ),
         ("evidence: always shown", "seen = valid * region * float(evidence)", "seen = valid * region"),
         ("region counts as known", "known = valid * (1 - region)", "known = valid"),
+        ("fill: ends with the shorter side", "if max(depth_n.shape[2:]) <= 1:", "if min(depth_n.shape[2:]) <= 1:"),
+    ),
+    *family(
+        "readings",
+        "pipeline",
+        ("evidence: left to the final step", "views = views.without_evidence()", "views = views"),
     ),
     *family(
         "windows",
         "windows",
+        ("region shown as it is", "np.ones((2 * rim + 1,) * 2, np.uint8)", "np.ones((1, 1), np.uint8)"),
         ("as tight as the thing", "side = max(MARGIN * max(", "side = max(1.0 * max("),
         ("no least side", ", LEAST * longest)", ", 1)"),
         ("not moved into the frame", "first = min(max(first, 0), length - side)", "first = first + 0"),

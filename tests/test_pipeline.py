@@ -297,15 +297,24 @@ def test_evidence_and_detail_can_be_left_out(ditr):
     assert ditr.painter("optical", Plan(detail=False)).detail is None
 
 
+def test_an_autoencoder_of_another_factor_is_refused_before_anything_is_painted():
+    with pytest.raises(ValueError, match="expected 2 levels"):
+        config = override(TINY, **{"autoencoder.multipliers": "1,2,4"})
+        Ditr(build(config), config)
+
+
+@pytest.mark.parametrize("width", [0, TINY.detail.width])  # without and with the final step, which sees readings, too
 @pytest.mark.parametrize("evidence", [True, False])
-def test_readings_inside_the_region_matter_only_as_evidence(evidence):
-    config = override(TINY, **{"evidence": evidence, "detail.width": 0, "window": 0})
+def test_readings_inside_the_region_matter_only_as_evidence(evidence, width):
+    config = override(TINY, **{"evidence": evidence, "detail.width": width, "window": 0})
     ditr = Ditr(untrained(config), config)
     rgb, depth, region = frame(64, 96)
     other = depth.copy()
     other[region] = other[region][::-1]  # the same readings elsewhere: the bounds stay
     one, two = (painted(ditr, Plan(guides=(None, None)), d).optical for d in (depth, other))
     assert np.allclose(one[region], two[region], rtol=1e-5) != evidence
+    plan = Plan(guides=(None, None), evidence=False)
+    assert np.allclose(*(painted(ditr, plan, d).optical[region] for d in (depth, other)), rtol=1e-5)
 
 
 @pytest.mark.parametrize("times", [0.5, 3.0])

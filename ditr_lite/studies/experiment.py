@@ -103,7 +103,7 @@ def compare_settings(
     """
     base = preset("tiny")
     config, trained = override(base, **settings), touched(base, settings)
-    build(config)  # what cannot be built is refused before the other arm is trained
+    Ditr(build(config), config)  # what cannot be is refused before the other arm is trained
     if out is not None:
         check_same_system(config, out)
     if steps is not None:

@@ -356,7 +356,7 @@ def validate_detail(
             decoded, paint = recipes.one_step(branch, painter, batch, config)
             where = paint * batch.gt_known
             before += root_mean_square(batch.relative_error(decoded), where)
-            after += root_mean_square(batch.relative_error(recipes.sharpened(model, decoded, batch)), where)
+            after += root_mean_square(batch.relative_error(recipes.sharpened(model, decoded, batch, config)), where)
         figures[f"{branch}_before"] = float(np.nanmean(before))
         figures[branch] = float(np.nanmean(after))
     return figures
@@ -376,7 +376,7 @@ def sharpened_errors(
         for batch in held_out_batches(branch, scenes, config, boundary):
             batch = batch.to(device_of(model))
             decoded, paint = recipes.one_step(branch, painter, batch, config)
-            error = batch.relative_error(recipes.sharpened(model, decoded, batch))
+            error = batch.relative_error(recipes.sharpened(model, decoded, batch, config))
             errors += root_mean_square(error, paint * batch.gt_known)
         row[list(asked)] = errors
     known = ~np.isnan(found)

@@ -249,9 +249,10 @@ def one_step(
     return painter.autoencoder.decode(diffusion.to_x0(out, noise, t, schedule, config.sampler.prediction)), paint
 
 
-def sharpened(model: nn.Module, decoded: Tensor, batch: Batch) -> Tensor:
+def sharpened(model: nn.Module, decoded: Tensor, batch: Batch, config: Config) -> Tensor:
     """Return what the finer final step makes of decoded depth (B, 1, H, W)."""
-    x = detail_input(decoded, batch.depth_n, batch.valid, batch.region, batch.rgb, batch.guide_rgb)
+    valid = batch.valid if config.evidence else batch.valid * (1 - batch.region)
+    x = detail_input(decoded, batch.depth_n, valid, batch.region, batch.rgb, batch.guide_rgb)
     return model(cl(x))
 
 
@@ -296,7 +297,7 @@ def score_detail(
     """Score the finer final step on what a branch paints."""
     branch, batch = drawn
     decoded, paint = one_step(branch, painters[branch], batch, config, seed=step, share=share)
-    error = batch.relative_error(sharpened(model, decoded, batch))
+    error = batch.relative_error(sharpened(model, decoded, batch, config))
     weight = paint * batch.gt_known
     count = weight.sum(dim=(1, 2, 3))
     some = (count > 0).float()
