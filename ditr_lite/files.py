@@ -362,7 +362,7 @@ def read_mask(path: Path | str) -> np.ndarray:
         (H, W) bool.
 
     Raises:
-        ValueError: for a colour picture or for values that are neither of these kinds.
+        ValueError: for a colour picture or for values that are neither of these kinds, as those of labels.
     """
     mask = read_labels(path)
     if mask.dtype == bool:
@@ -374,10 +374,23 @@ def read_mask(path: Path | str) -> np.ndarray:
         mask, top = mask // 257, 255
     if 1 < top < MASK_LEVEL or top > 255:
         raise ValueError(
-            f"{path} should be a mask of 0 and 255 (or 0 and 1), but its largest value is {top}: of a picture of labels, "
-            "save where they are glass or metal"
+            f"{path} should be a mask of 0 and 255 (or 0 and 1), but its largest value is {top}: of a picture of "
+            "labels, save where they are glass or metal"
+        )
+    if top > 1 and _has_areas_between(mask.astype(np.uint8)):
+        raise ValueError(
+            f"{path} should be a mask of 0 and 255 (or 0 and 1), but it has areas of other values, as a picture of "
+            "labels has: save where they are glass or metal"
         )
     return mask > 0 if top <= 1 else mask >= MASK_LEVEL
+
+
+def _has_areas_between(mask: np.ndarray) -> bool:
+    """Return whether values between 0 and the largest fill areas; those of soft edges differ from their neighbours."""
+    between = (mask > 0) & (mask < mask.max())
+    around = np.ones((3, 3), np.uint8)
+    inner = between & (cv2.erode(mask, around) == cv2.dilate(mask, around))
+    return 2 * int(inner.sum()) > int(between.sum())
 
 
 def read_labels(path: Path | str) -> np.ndarray:
@@ -680,8 +693,8 @@ def _check_camera(path: Path, camera: Camera, sized: bool) -> None:
     if not sized and not all(CENTRE[0] <= share <= CENTRE[1] for share in (across, down)):
         raise ValueError(
             f"{path} has its centre at ({camera.cx:g}, {camera.cy:g}), which is not near that of a picture of "
-            f"{camera.width} x {camera.height}: it is of another size; resize it with Camera.resized. Of a crop, let the "
-            "file say the size (width and height)"
+            f"{camera.width} x {camera.height}: it is of another size; resize it with Camera.resized. Of a crop, let "
+            "the file say the size (width and height)"
         )
     if not all(FOCAL[0] <= share <= FOCAL[1] for share in focal) or not 0.5 <= camera.fx / camera.fy <= 2:
         raise ValueError(

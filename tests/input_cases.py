@@ -314,12 +314,17 @@ def masks():
         image.putpalette(colours + [0] * (768 - len(colours)))
         return image
 
+    soft = np.where(
+        cv2.erode(255 * m, np.ones((3, 3))) > 0, 255, cv2.blur(255 * m, (3, 3))
+    )  # in the region at least 100
+    soft = np.where(m > 0, np.maximum(soft, 128), np.minimum(soft, 64)).astype(np.uint8)
     opaque, full = np.full_like(m, 255), np.full((*SIZE, 3), 255, np.uint8)
     for name, write in {
         "grey255.png": picture(255 * m),
         "grey01.png": picture(m),
         "u16.png": picture(m.astype(np.uint16) * 65535),
         "u16_one.png": picture(m.astype(np.uint16)),
+        "soft.png": picture(soft),
         "three.png": picture(np.dstack([255 * m] * 3)),
         "bit.png": pillow(Image.fromarray(255 * m).convert("1")),
         "palette.png": pillow(palette(m, red)),
@@ -341,6 +346,8 @@ def masks():
         ("classes.png", picture(2 * m), "largest value is 2"),
         ("classes_palette.png", pillow(palette(2 * m, [*red, 0, 128, 0])), "largest value is 2"),
         ("ids.png", picture(7 * m), "largest value is 7"),
+        ("many_ids.png", picture(np.maximum(120 * m, 10 * np.roll(m, 9, 0))), "areas of other values"),
+        ("ignore.png", picture(np.maximum(255 * m, np.roll(m, 9, 0))), "areas of other values"),
         ("wide.npy", npy(300 * m.astype(np.int32)), "largest value is 300"),
         ("negative.npy", npy(-m.astype(np.int8)), "smallest value is -1"),
         ("zero_size.npy", npy(np.zeros((0, 5), bool)), "no pixel"),

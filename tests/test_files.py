@@ -106,7 +106,7 @@ def test_a_crop_far_from_the_middle_is_read_where_its_file_says_how_large_it_is(
     (tmp_path / "crop.yaml").write_text(numbers)
     assert files.read_intrinsics(tmp_path / "crop.yaml", (40, 58)) == corner
     (tmp_path / "bare.yaml").write_text(numbers.split("width")[0])
-    with pytest.raises(ValueError, match="let the file say the size"):
+    with pytest.raises(ValueError, match="let the file say"):
         files.read_intrinsics(tmp_path / "bare.yaml", (40, 58))
 
 

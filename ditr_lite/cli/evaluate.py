@@ -63,6 +63,8 @@ class Evaluate:
         skipped = frames.skipped if options.skip_bad else []
         for reason in skipped:  # first: where all were left out there is nothing to summarise
             print(f"ditr_lite: left out: {reason}", file=sys.stderr)
+        if not results:
+            raise ValueError(f"none of the {len(skipped)} frames can be scored: see what was left out, and why")
         print(f"{source}, region {'given' if options.given_region else 'found by stage one'}")
         print(scoring.format_report(scoring.summary(results, protocol), protocol))
         if options.json:
