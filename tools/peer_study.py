@@ -3,7 +3,8 @@
 python tools/peer_study.py [--split test rooms] [--limit N] [--peers outputs/peers] [--real FRAMES.py] [--json FILE]
 
 The arms must have been trained: `python tools/train_peers.py`. What was scored is kept in `scores` in the folder of the
-arms; a stopped or repeated run computes only what is missing or depends on weights that have changed.
+arms; a stopped or repeated run computes only what is missing or depends on weights that have changed. Changed code it
+does not notice: delete `scores` then.
 """
 
 import argparse

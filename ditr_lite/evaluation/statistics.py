@@ -11,6 +11,7 @@ mean in three cases of four at best.
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -174,7 +175,11 @@ def spearman(x: Sequence[float], y: Sequence[float]) -> float:
 
 
 def spearman_bootstrap(
-    x: Sequence[float | None], y: Sequence[float | None], n: int = 2000, seed: int = 0
+    x: Sequence[float | None],
+    y: Sequence[float | None],
+    n: int = 2000,
+    seed: int = 0,
+    held: Sequence[float | None] | None = None,
 ) -> tuple[float, float, float]:
     """Return (rho, low, high): Spearman's correlation and its 95 % percentile-bootstrap interval over images.
 
@@ -183,20 +188,27 @@ def spearman_bootstrap(
         y: likewise.
         n: resamples; those in which all values are alike have no correlation and are left out.
         seed: of the resampling.
+        held: a third value an image that is held fixed: rho is then the partial correlation of the ranks, what is left
+            of it once a straight line in the ranks of ``held`` is taken off both.
 
     Raises:
-        ValueError: for lists of different lengths, and as :func:`spearman`.
+        ValueError: for lists of different lengths, and as :func:`spearman`, of each two of the lists.
     """
-    x, y = _common(x, y)
-    spearman(x, y)  # refuses what has no correlation
+    columns = _common(*(values for values in (x, y, held) if values is not None))
+    for pair in combinations(columns, 2):
+        spearman(*pair)  # refuses what has no correlation
 
-    def correlation(x: np.ndarray, y: np.ndarray, axis: int) -> np.ndarray:
-        ranks = stats.rankdata(x, axis=axis), stats.rankdata(y, axis=axis)
+    def correlation(*drawn: np.ndarray, axis: int) -> np.ndarray:
+        ranks = [stats.rankdata(values, axis=axis) for values in drawn]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", stats.ConstantInputWarning)
-            return stats.pearsonr(*ranks, axis=axis).statistic
+            rho, *other = (stats.pearsonr(*pair, axis=axis).statistic for pair in combinations(ranks, 2))
+        if not other:
+            return rho
+        with np.errstate(divide="ignore", invalid="ignore"):  # a resample in which two of them rise together
+            return (rho - other[0] * other[1]) / np.sqrt((1 - other[0] ** 2) * (1 - other[1] ** 2))
 
-    return _bootstrap((x, y), correlation, n, seed)
+    return _bootstrap(columns, correlation, n, seed)
 
 
 def interval(estimate: Callable, *columns: Sequence[float | None], digits: int | None = None) -> list[float] | None:
@@ -239,13 +251,13 @@ def _finite(values: Sequence[float | None], n: int) -> np.ndarray:
     return kept
 
 
-def _common(a: Sequence[float | None], b: Sequence[float | None]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the scores of the images that have both."""
-    if len(a) != len(b):
-        raise ValueError(f"a and b should score the same images, got {len(a)} and {len(b)} values")
-    pairs = [(x, y) for x, y in zip(a, b, strict=True) if x is not None and y is not None]
-    first, second = np.array(pairs, np.float64).reshape(-1, 2).T
-    return first, second
+def _common(*columns: Sequence[float | None]) -> tuple[np.ndarray, ...]:
+    """Return the scores of the images that have all of them."""
+    counts = [len(column) for column in columns]
+    if len(set(counts)) > 1:
+        raise ValueError(f"all should score the same images, got {' and '.join(map(str, counts))} values")
+    complete = [row for row in zip(*columns, strict=True) if None not in row]
+    return tuple(np.array(complete, np.float64).reshape(-1, len(columns)).T)
 
 
 def _bootstrap(

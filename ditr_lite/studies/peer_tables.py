@@ -117,9 +117,10 @@ def best_peer(report: Mapping[str, Any]) -> str:
 
 
 def ratio_verdict(report: Mapping[str, Any]) -> str:
-    """Say where the paper's ratio to DFNet lies beside ours, of :data:`PAPERS` to regression and to the best peer.
+    """Say how the error of :data:`PAPERS` compares with that of regression, the paper's DFNet, and of the best peer.
 
-    Like is set beside like: *whole* beside the paper's overall, *optical* beside its optical ratio (:data:`PAPER`).
+    Like is set beside like: regression's *whole* beside the paper's overall ratio to DFNet, its *optical* beside the
+    optical one (:data:`PAPER`). Another peer stands for another system: the paper's ratio says nothing of it.
     Last comes what the paper claims of the holes: DITR's error is the smallest.
 
     Args:
@@ -130,11 +131,11 @@ def ratio_verdict(report: Mapping[str, Any]) -> str:
         for key, (paper, table) in PAPER.items():
             middle, low, high = report["ratio"][name][key]
             told = "smaller" if high < 1 else "larger" if low > 1 else "not measurably different"
-            lies = "below" if paper < low else "above" if paper > high else "inside"
-            lines.append(
-                f"+RR's {key} error is {told}: {middle:.2f} [{low:.2f}, {high:.2f}] times that of "
-                f"{name}; the paper's {paper:.2f} to DFNet ({table}) lies {lies} our interval"
-            )
+            line = f"+RR's {key} error is {told}: {middle:.2f} [{low:.2f}, {high:.2f}] times that of {name}"
+            if name == "regression":
+                lies = "below" if paper < low else "above" if paper > high else "inside"
+                line += f"; the paper's {paper:.2f} to DFNet ({table}) lies {lies} our interval"
+            lines.append(line)
     return "\n".join([*lines, holes_verdict(report)])
 
 

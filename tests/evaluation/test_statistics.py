@@ -139,6 +139,20 @@ def test_the_interval_of_a_correlation_holds_the_truth_about_as_often_as_it_says
     assert 51 <= hits <= 60
 
 
+def test_what_is_held_fixed_no_longer_correlates():
+    rng = np.random.default_rng(0)
+    cause, noise = rng.random(200), rng.random((2, 200))
+    x, y = cause + 0.4 * noise[0], cause + 0.4 * noise[1]  # each by the cause alone
+    assert statistics.spearman_bootstrap(x, y, n=200)[1] > 0.5
+    rho, low, high = statistics.spearman_bootstrap(x, y, n=200, held=cause)
+    assert low < 0 < high
+    ranks = [np.argsort(np.argsort(values)) for values in (x, y, cause)]
+    left = [r - np.polyval(np.polyfit(ranks[2], r, 1), ranks[2]) for r in ranks[:2]]
+    assert rho == pytest.approx(np.corrcoef(*left)[0, 1])
+    with pytest.raises(ValueError, match="not all alike"):
+        statistics.spearman_bootstrap(x, y, held=np.ones(200))
+
+
 def test_images_without_a_value_are_left_out_of_a_correlation():
     x, y = [1, None, 2, 3, 4], [1, 5, None, 3, 4]
     assert statistics.spearman_bootstrap(x, y, n=200) == pytest.approx((1, 1, 1))  # some resamples are all alike

@@ -95,6 +95,26 @@ def test_ranges_leave_out_what_was_not_measured():
 
 def test_the_papers_cases_are_judged_by_their_intervals():
     rho = dict.fromkeys(failures.DESCRIBED, (0.3, 0.1, 0.5)) | {"overlap": None}
-    *lines, largest, overlap = failures.format_verdicts(rho).splitlines()
-    assert len(lines) == len(rho) and largest.endswith("'largest_share': confirmed on these scenes")
-    assert overlap.endswith("'overlap': not confirmed on these scenes")
+    apart = {"largest_share": (0.2, 0.1, 0.3), "overlap": None}
+    *lines, largest, overlap = failures.format_verdicts(rho, apart).splitlines()
+    assert (
+        len(lines) == len(rho)
+        and "'largest_share': confirmed on these scenes; with overlap held fixed +0.20" in largest
+    )
+    assert "'overlap': not confirmed on these scenes; with largest_share held fixed it cannot be told" in overlap
+    apart["overlap"] = (0.1, -0.1, 0.3)
+    assert "'overlap': not confirmed" in failures.format_verdicts(rho, apart)
+
+
+def test_a_case_that_only_comes_with_the_other_is_partial_correlations():
+    rng = np.random.default_rng(0)
+    size = rng.random(100)
+    overlap, errors = size + 0.3 * rng.random(100), size + 0.3 * rng.random(100)
+    described = {
+        f"f{k}": dict.fromkeys(failures.DESCRIBED, 0.0) | {"largest_share": size[k], "overlap": overlap[k]}
+        for k in range(100)
+    }
+    made = {f"f{k}": error for k, error in enumerate(errors)}
+    assert failures.correlations(made, described)["overlap"][1] > 0.5
+    apart = failures.partial_correlations(made, described)
+    assert apart["overlap"][1] < 0 < apart["overlap"][2] and apart["largest_share"][1] > 0.3

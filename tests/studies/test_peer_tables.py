@@ -88,6 +88,15 @@ def test_the_verdict_follows_the_interval(report, ratio, said):
     assert "the lowest is regression +" in holes
 
 
+def test_the_papers_ratio_is_set_beside_that_of_its_own_system_alone(report, monkeypatch):
+    ratios = {"optical": (0.9, 0.85, 0.95), "whole": (0.9, 0.85, 0.95)}
+    monkeypatch.setattr(compare, "best_peer", lambda report: "rgb_only")
+    made = {**report, "ratio": {"regression": ratios, "rgb_only": ratios}}
+    *own, optical, whole, _ = compare.ratio_verdict(made).splitlines()
+    assert all("to DFNet" in line for line in own) and optical.endswith("0.90 [0.85, 0.95] times that of rgb_only")
+    assert "paper" not in optical + whole
+
+
 def test_the_best_of_many_equal_methods_is_not_called_better():
     rng, names = np.random.default_rng(0), (*compare.IDEAS, *compare.REGISTRY)
     plain, told = 0, 0
