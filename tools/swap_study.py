@@ -3,7 +3,7 @@
     python tools/swap_study.py [--limit 112] [--json ditr_lite/weights/results_swaps.json]
 
 Nothing is trained and nothing is chosen by it. The first frames of the test split are completed under every swap of
-``studies.swaps``, one draw a frame, all from the same noise, in under six minutes on one core; differences are
+``studies.swaps``, one draw a frame, all from the same noise, in some twenty minutes on one core; differences are
 paired over frames. The breakdown beside the paper's Table V is the default's.
 """
 
