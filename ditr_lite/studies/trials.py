@@ -55,7 +55,7 @@ def trials(folder: Path | str = WEIGHTS) -> list[Trial]:
     shipped = 2 ** len(from_dict(read_card(folder)["config"]).autoencoder.multipliers)
     found = []
     for row in factors["rows"]:
-        price = f"{row['step_flop'] / 1e9:.1f} GFLOP a step"
+        price = f"{row['step_flop'] / 1e9:.1f} GFLOP/step"
         error, name = row["floor"]["rmse_m"]["optical"][0], f"factor {row['factor']}"
         found.append(Trial("autoencoder", name, error, row["factor"] == shipped, price, factors["command"]))
     for name, row in region["refinement"].items():
@@ -76,7 +76,7 @@ def trials(folder: Path | str = WEIGHTS) -> list[Trial]:
     for name, row in settings["rows"].items():
         gain, other = (against_default(settings["rows"], name, key) for key in ("optical", "geometric"))
         operations = costs(override(preset("tiny"), **row["settings"]))
-        price = f"{sum(r['gflops'] * r['calls'] for r in operations):.2f} GFLOP a frame"
+        price = f"{sum(r['gflops'] * r['calls'] for r in operations):.2f} GFLOP/frame"
         if name != DEFAULT:
             said = "clear" if gain.clear else "not clear"
             price += f"; {said}; geometric {1000 * other.mean:+.1f} mm"
