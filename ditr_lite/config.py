@@ -125,8 +125,6 @@ class UNetConfig:
         _at_least(1, "unet", width=self.width, heads=self.heads, cond_channels=self.cond_channels)
         _at_most(WIDEST, "unet", width=self.width, heads=self.heads, cond_channels=self.cond_channels)
         _at_least(1, "unet.multipliers", levels=len(self.multipliers), smallest=min(self.multipliers, default=1))
-        if tuple(self.colour_channels) not in ((), COLOUR_CHANNELS):
-            raise ValueError(f"unet.colour_channels: expected () or {COLOUR_CHANNELS}, got {self.colour_channels}")
 
 
 @dataclass(frozen=True)
@@ -195,6 +193,9 @@ class Config:
             raise ValueError(f"size: expected (height, width), both multiples of {stride}, got {self.size}")
         if self.window and (self.window < stride or self.window % stride):
             raise ValueError(f"window: expected 0 or a multiple of {stride}, got {self.window}")
+        colour = self.unet.colour_channels
+        if tuple(colour) not in ((), COLOUR_CHANNELS):
+            raise ValueError(f"unet.colour_channels: expected () or {COLOUR_CHANNELS}, got {colour}")
         if self.sampler.steps > self.schedule.timesteps:
             raise ValueError(f"sampler.steps: expected at most {self.schedule.timesteps}, got {self.sampler.steps}")
         if self.unet.anchor and self.sampler.prediction != "x0":
