@@ -9,6 +9,19 @@ from numbers import Real
 from typing import Any, get_args, get_type_hints
 
 
+def check_kernels(median: int, dilate: int, iterations: int) -> None:
+    """Refuse what no mask can be refined with.
+
+    Raises:
+        ValueError: for an even kernel or a negative number.
+    """
+    for name, size in (("median", median), ("dilate", dilate)):
+        if size < 0 or (size > 0 and size % 2 == 0):
+            raise ValueError(f"expected an odd {name} kernel (or 0 for none), got {size}: an even one shifts the mask")
+    if iterations < 0:
+        raise ValueError(f"expected iterations >= 0, got {iterations}")
+
+
 def _at_least(minimum: int, group: str, **values: int) -> None:
     if wrong := [f"{name} {value}" for name, value in values.items() if value < minimum]:
         raise ValueError(f"{group}: expected at least {minimum}, got {', '.join(wrong)}")
@@ -66,12 +79,7 @@ class RefineConfig:
                 f"refine: expected a threshold between 0 and 1 and a temperature above 0, "
                 f"got {self.threshold} and {self.temperature}"
             )
-        _at_least(0, "refine", median=self.median, dilate=self.dilate, iterations=self.iterations)
-        if any(side > 0 and side % 2 == 0 for side in (self.median, self.dilate)):
-            raise ValueError(
-                f"refine: expected odd kernels (or 0 for none), got median {self.median} and dilate {self.dilate}: "
-                "an even one shifts the mask"
-            )
+        check_kernels(self.median, self.dilate, self.iterations)
         if not self.looks or min(self.looks) < 1:
             raise ValueError(f"refine.looks: expected at least one size and none below 1, got {self.looks}")
 
@@ -196,8 +204,7 @@ class Config:
         colour = self.unet.colour_channels
         if tuple(colour) not in ((), COLOUR_CHANNELS):
             raise ValueError(f"unet.colour_channels: expected () or {COLOUR_CHANNELS}, got {colour}")
-        if self.sampler.steps > self.schedule.timesteps:
-            raise ValueError(f"sampler.steps: expected at most {self.schedule.timesteps}, got {self.sampler.steps}")
+        _at_most(self.schedule.timesteps, "sampler", steps=self.sampler.steps)
         if self.unet.anchor and self.sampler.prediction != "x0":
             raise ValueError(f"sampler.prediction {self.sampler.prediction!r} needs unet.anchor=false")
 

@@ -124,9 +124,9 @@ def test_settings_that_are_right_only_together_are_taken_in_any_order():
         ({"refine.looks": ()}, "at least one size"),
         ({"region.colour": "foo"}, "unknown region.colour 'foo'; choose one of pretrained, scratch"),
         ({"refine.temperature": 0.0}, "a temperature above 0"),
-        ({"refine.median": 4}, "expected odd kernels .or 0 for none., got median 4 and dilate 3"),
-        ({"refine.iterations": -1}, "refine: expected at least 0, got iterations -1"),
-        ({"sampler.steps": 2000}, "sampler.steps: expected at most 1000, got 2000"),
+        ({"refine.median": 4}, "expected an odd median kernel .or 0 for none., got 4"),
+        ({"refine.iterations": -1}, "expected iterations >= 0, got -1"),
+        ({"sampler.steps": 2000}, "sampler: expected at most 1000, got steps 2000"),
         ({"unet.colour_channels": "24,40"}, r"expected \(\) or \(24, 40, 112\), got \(24, 40\)"),
     ],
 )

@@ -261,10 +261,9 @@ hall. Some have neither glass nor metal.
   clearly; on the three real frames with truth, lower ones lose what the levelling gains there, this one does not.
 - And in how much wider than itself windows show a region (`windows.RIM`). On validation scenes two pixels lower the
   error inside glass and metal clearly, and three or five no further that could be told. Where the region is given, that
-  costs nothing. Where stage one finds it, opaque things beside the glass pay, the more the wider: holes there become a
-  few per cent worse on table tops, less in rooms.
-  On the three real frames, which were looked at before it was taken, the error in the masks falls by some seven per
-  cent.
+  costs nothing. Where stage one finds it, opaque things beside the glass pay, the more the wider: holes there become
+  worse (`tools/swap_study.py`, *exact region*). On each of the three real frames, which were looked at before it was
+  taken, the error in the masks falls.
 
 ## How they were made
 

@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..config import RegionConfig
+from ..config import RegionConfig, check_kernels
 from .encoder import CHANNELS, ColourEncoder
 
 IGNORE = 255  # target class of a pixel whose class is unknown
@@ -256,11 +256,7 @@ def refine_region(mask: np.ndarray, median: int = 7, dilate: int = 5, iterations
     mask = np.asarray(mask)
     if mask.ndim != 2 or mask.dtype != bool:
         raise ValueError(f"expected a mask (H, W) bool, got {mask.shape} {mask.dtype}; threshold it first")
-    for name, size in (("median", median), ("dilate", dilate)):
-        if size < 0 or (size > 0 and size % 2 == 0):
-            raise ValueError(f"expected an odd {name} kernel (or 0 for none), got {size}: an even one shifts the mask")
-    if iterations < 0:
-        raise ValueError(f"expected iterations >= 0, got {iterations}")
+    check_kernels(median, dilate, iterations)
     out = mask.astype(np.uint8)
     if median > 1:
         out = cv2.medianBlur(out, median)

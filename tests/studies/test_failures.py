@@ -106,7 +106,7 @@ def test_the_papers_cases_are_judged_by_their_intervals():
     assert "'overlap': not confirmed" in failures.format_verdicts(rho, apart)
 
 
-def test_a_case_that_only_comes_with_the_other_is_partial_correlations():
+def test_a_case_that_only_comes_with_the_other_is_told_apart():
     rng = np.random.default_rng(0)
     size = rng.random(100)
     overlap, errors = size + 0.3 * rng.random(100), size + 0.3 * rng.random(100)
