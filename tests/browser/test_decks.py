@@ -22,9 +22,10 @@ def test_a_deck_asks_nobody_else(driver, journal, decks, name):
     assert [line for line in journal.complaints() if OWN_WISH not in line] == []
 
 
-LEAST_PX = 301  # beside much text a figure is not made lower than 300, and the slide scrolls
+LEAST_PX = 301  # beside much text a figure is not made lower than 300,
+SMALLEST_PX = 16  # and text not smaller than this; then the slide scrolls
 CUT = """
-const [LEAST, done] = arguments;
+const [LEAST, SMALLEST, done] = arguments;
 const frame = () => new Promise(next => requestAnimationFrame(() => requestAnimationFrame(next)));
 async function look() {
   while (!window.Reveal?.isReady()) await frame();
@@ -36,7 +37,9 @@ async function look() {
     await frame();
     const has_text = slide.innerText.trim() !== "", figures = [...slide.querySelectorAll("img")];
     const rest = slide.scrollHeight - slide.clientHeight;
-    if (rest > 1 && figures.some(figure => !has_text || figure.clientHeight > LEAST)) cut.push(`${h}/${v}: ${rest} px`);
+    const large = figures.some(figure => !has_text || figure.clientHeight > LEAST);
+    const words = [...slide.querySelectorAll(".jp-Cell")].map(cell => parseFloat(getComputedStyle(cell).fontSize));
+    if (rest > 1 && (large || Math.max(...words) > SMALLEST)) cut.push(`${h}/${v}: ${rest} px`);
   }
   return cut;
 }
@@ -45,6 +48,6 @@ look().then(done, error => done([String(error)]));
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_figures_are_seen_as_a_whole(driver, decks, name):
+def test_figures_and_text_give_way_before_a_slide_scrolls(driver, decks, name):
     show(driver, f"{decks}{name}.html")
-    assert driver.execute_async_script(CUT, LEAST_PX) == []
+    assert driver.execute_async_script(CUT, LEAST_PX, SMALLEST_PX) == []
