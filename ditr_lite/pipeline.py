@@ -24,7 +24,7 @@ from .schedule import make_schedule
 from .stage_two import BRANCHES, Painter, Plan, Sampler, Views, paint
 from .store import load_parts, usable_device
 from .unet import STRIDE, DenoisingUNet
-from .units import MAX_SEED, check_count, check_inputs, strips, without_strays
+from .units import MAX_SEED, MIN_DEPTH_M, check_count, check_inputs, strips, without_strays
 from .windows import Claim, Completion, Frame, Layer, Painting, close_ups, fit_frame, level
 
 
@@ -380,7 +380,7 @@ class Ditr:
         painter = self.painter(branch, plan)
         drawn = paint(painter, views, self.schedule, steps, samples, prediction, generator, self.sampler).cpu()
         metres = bounds.denormalise(drawn)[:, :, 0]  # (S, B, 1, h, w) -> (S, B, h, w)
-        metres = torch.maximum(metres, 0.5 * bounds.low[:, 0])  # positive, whatever a network says
+        metres = metres.clamp(min=MIN_DEPTH_M)  # 0 would mean: nothing there
         spread = metres.std(dim=0) if samples > 1 else torch.zeros_like(metres[0])
         return metres.mean(dim=0).numpy(), spread.numpy()
 

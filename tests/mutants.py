@@ -574,6 +574,11 @@ FRAMES = [
         "readings",
         "pipeline",
         ("evidence: left to the final step", "views = views.without_evidence()", "views = views"),
+        (
+            "near things are lifted",
+            "metres = metres.clamp(min=MIN_DEPTH_M)",
+            "metres = torch.maximum(metres, 0.5 * bounds.low[:, 0])",
+        ),
     ),
     *family(
         "windows",

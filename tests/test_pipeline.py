@@ -126,6 +126,15 @@ def test_spread_is_the_standard_deviation_of_what_was_drawn(ditr, monkeypatch):
     assert not ditr.paint(1, views, bounds, 1, 1, 0, Plan())[1].any()  # of one sample there is none
 
 
+def test_what_is_painted_may_be_far_nearer_than_what_was_read_but_never_nothing(ditr, monkeypatch):
+    views, bounds = ditr.look([frame(64, 96)], None, False)
+    for drawn, least in ((-2.5, 0.05), (-50.0, 0)):
+        monkeypatch.setattr("ditr_lite.pipeline.paint", lambda *a, u=drawn: torch.full((1, 1, 1, 64, 96), u))
+        metres = float(ditr.paint(0, views, bounds, 1, 1, 0, Plan())[0].max())
+        assert metres == pytest.approx(float(bounds.denormalise(torch.tensor(drawn)).clamp(min=0.01)))
+        assert least < metres < 0.5 * float(bounds.low)
+
+
 def test_what_is_composed_is_as_sure_as_the_painting_says(ditr, monkeypatch):
     rgb, depth, region = frame(64, 96)
     view = fit_frame((64, 96), (64, 96))

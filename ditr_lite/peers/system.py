@@ -17,6 +17,7 @@ from ..pipeline import Ditr, build
 from ..stage_two import BRANCHES, Plan, Views, colour_features
 from ..store import load_part, read_card
 from ..unet import DenoisingUNet
+from ..units import MIN_DEPTH_M
 from .ideas import IDEAS, Idea, RgbOnly, build_idea
 
 GIVEN = ("autoencoder", "encoder")  # what every arm is handed
@@ -39,7 +40,7 @@ class PeerSystem(Ditr):
         """Paint views: metres and their spread, which is 0, (B, h, w) each."""
         colour = colour_features(self.parts["encoder"] if "encoder" in self.parts else None, views.rgb)
         metres = self.parts["idea"].metres(views, colour, bounds)
-        metres = torch.maximum(metres.float(), 0.5 * bounds.low)[:, 0].numpy()  # positive, as DITR's
+        metres = metres.float().clamp(min=MIN_DEPTH_M)[:, 0].numpy()  # an idea may say anything
         return metres, np.zeros_like(metres)
 
 
