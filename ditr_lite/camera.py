@@ -103,6 +103,7 @@ def reproject(depth_ir: np.ndarray, camera_ir: Camera, camera_rgb: Camera, rgb_f
     Each source pixel becomes a small square facet, tilted like its neighbourhood. The facet is sampled on a grid
     finer than the target's pixels, so that a surface seen from the new camera has no lattice holes and grows by no more
     than half a source pixel. Where the new camera sees what the old one did not, nothing lands: the parallax shadow.
+    The grid follows the focal lengths: a camera so near to a surface that it appears twice as large sees holes in it.
 
     Paper: Sec. I, Fig. 3 (geometric depth loss).
 

@@ -64,14 +64,16 @@ LABELS = ("material", "instances", "loss", "cause", "ir_left", "ir_right")
 def save_sample(sample: Sample, folder: Path | str) -> None:
     """Write ``sample`` as a folder of images and ``meta.json``; it appears whole or not at all.
 
-    Files: ``rgb.jpg``, ``depth.png`` and ``depth_gt.png`` (16 bit, millimetres), 8-bit PNG labels, ``meta.json``.
+    Files: ``rgb.jpg``, ``depth.png`` and ``depth_gt.png`` (16 bit, millimetres), 8-bit PNG labels, ``region.png`` where
+    no ``material.png`` says it, ``meta.json``.
 
     Args:
         sample: to write.
         folder: for its files; a sample that is there is replaced, anything else refused.
 
     Raises:
-        ValueError: for a picture that cannot be encoded, or a folder that holds something else.
+        ValueError: for a picture that cannot be encoded, a region that the material contradicts, or a folder that
+            holds something else.
         OSError: when a file cannot be written.
     """
     folder = Path(folder)
@@ -81,6 +83,11 @@ def save_sample(sample: Sample, folder: Path | str) -> None:
     if sample.depth_gt is not None:
         images["depth_gt.png"] = depth_to_png(sample.depth_gt)
     images |= {f"{key}.png": getattr(sample, key) for key in LABELS if getattr(sample, key) is not None}
+    if sample.region is not None:
+        if sample.material is None:  # which otherwise says it
+            images["region.png"] = np.where(sample.region, np.uint8(255), np.uint8(0))
+        elif not np.array_equal(sample.region, sample.material > OPAQUE):
+            raise ValueError(f"{sample.name}: region and material disagree; leave one of them out")
     meta = {
         "camera": asdict(sample.camera) if sample.camera else None,
         "stereo": asdict(sample.stereo) if sample.stereo else None,
@@ -110,17 +117,24 @@ def read_sample(folder: Path | str) -> Sample:
         rgb=rgb,
         depth=_metres(folder / "depth.png"),
         depth_gt=_metres(depth_gt) if depth_gt.is_file() else None,
-        region=labels["material"] > OPAQUE if "material" in labels else None,
+        region=_region(folder, labels),
         camera=camera,
         stereo=stereo,
         meta=meta,
         **labels,
     )
-    for key in ("depth", "depth_gt", "material", "instances", "loss", "cause"):
+    for key in ("depth", "depth_gt", "material", "region", "instances", "loss", "cause"):
         image = getattr(sample, key)
         if image is not None and image.shape != rgb.shape[:2]:
             raise ValueError(f"{folder}: {key}.png is {image.shape}, rgb.jpg {rgb.shape[:2]}: it belongs elsewhere")
     return sample
+
+
+def _region(folder: Path, labels: dict[str, np.ndarray]) -> np.ndarray | None:
+    if "material" in labels:
+        return labels["material"] > OPAQUE
+    path = folder / "region.png"
+    return read_labels(path) > 0 if path.is_file() else None
 
 
 def read_meta(folder: Path | str) -> tuple[Camera | None, Stereo | None, dict[str, Any]]:

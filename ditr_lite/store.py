@@ -121,10 +121,13 @@ def _check_finite(name: str, tensors: dict[str, Tensor], advice: str) -> None:
 
 
 def write_tensors(tensors: dict[str, Tensor], path: Path, metadata: dict[str, str] | None = None) -> None:
-    """Write tensors as safetensors through a temporary name."""
+    """Write tensors as safetensors through a temporary name, readable by whoever may read other files of this user."""
     with written_whole(path) as part:
+        part.touch()
+        mode = part.stat().st_mode
         try:
-            save_file(tensors, str(part), metadata=metadata)
+            save_file(tensors, str(part), metadata=metadata)  # for the owner's eyes only
+            part.chmod(mode)
         except SafetensorError as error:  # a full disk, too
             raise OSError(f"cannot write {path}: {error}") from None
 

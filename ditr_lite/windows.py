@@ -498,7 +498,7 @@ class Completion:
         boundary_rgb, boundary_depth, boundary_da: (H, W) bool, M_RGB, M_D and M_DA.
         probability: (H, W) float32, stage one's belief before threshold and refinement; None for a given region.
         optical, geometric: (H, W) float32 metres, each branch's own repainting before composition; the optical branch
-            paints its windows only and shows the geometric one's elsewhere.
+            paints the region only, the geometric one's is shown elsewhere.
         windows: where the optical branch looked.
         classes: (H, W) uint8, what stage one claims before refinement: 0 nothing, else the likelier of the classes
             ``data.TRANSPARENT`` and ``data.REFLECTIVE``; None for a given region.

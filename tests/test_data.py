@@ -69,6 +69,15 @@ def test_a_sample_of_rgb_and_depth_only(tmp_path):
     assert again.depth_gt is None and again.region is None and again.camera is None
 
 
+def test_a_region_without_material_comes_back_too(tmp_path):
+    sample = replace(make_sample(), material=None)
+    data.save_sample(sample, tmp_path / sample.name)
+    assert_same(sample, data.read_sample(tmp_path / sample.name), but=("rgb",))
+    with pytest.raises(ValueError, match="region and material disagree"):
+        data.save_sample(replace(make_sample(), region=~sample.region), tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
 def test_saving_again_replaces_everything(tmp_path):
     folder = tmp_path / "test_0001"
     data.save_sample(make_sample(), folder)
@@ -198,7 +207,7 @@ def test_the_followed_scene_has_the_largest_region_of_the_first_twelve_test_scen
         material = region.copy()
         size = 20 if k == 13 else 3 + k % 8  # the last is larger still, but not among the first twelve
         material[2 : 2 + size, 4 : 4 + size] = 1
-        sample = replace(make_sample(f"test_{k:05d}"), material=material)
+        sample = replace(make_sample(f"test_{k:05d}"), material=material, region=material > 0)
         data.save_sample(sample, tmp_path / "test" / sample.name)
     scene, at = data.followed(tmp_path)
     assert scene.name == "test_00007" and at == data.deepest_pixel(scene.region) and scene.region[at]

@@ -81,7 +81,7 @@ def test_planted_submissions(tmp_path, capsys):
     )
     before = state_of("ditr_lite", "data_samples", "notebooks", "tools")
     handed_in = {p: p.read_bytes() for p in folder.rglob("*.ipynb")}
-    rows = graded(folder, tmp_path, "--timeout", "15")
+    rows = graded(folder, tmp_path, "--timeout", "30")
     assert state_of("ditr_lite", "data_samples", "notebooks", "tools") == before
     assert {p: p.read_bytes() for p in folder.rglob("*.ipynb")} == handed_in
 

@@ -267,3 +267,9 @@ def test_a_card_whose_configuration_cannot_be_is_named(tmp_path):
         (tmp_path / "card.json").write_text(json.dumps(odd))
         with pytest.raises(ValueError, match="card.json is damaged"):
             store.read_config(tmp_path)
+
+
+def test_weights_may_be_read_by_whoever_may_read_their_card(tmp_path):
+    write_tensors({"a": torch.ones(2)}, tmp_path / "a.safetensors")
+    (tmp_path / "card.json").write_text("{}")
+    assert (tmp_path / "a.safetensors").stat().st_mode == (tmp_path / "card.json").stat().st_mode

@@ -11,6 +11,7 @@ stopped run goes on where it was.
 """
 
 import argparse
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -23,14 +24,14 @@ from tqdm.auto import tqdm
 from ditr_lite import diffusion
 from ditr_lite.boundary import ExactBoundary, boundary_maps, get_backend
 from ditr_lite.conditioning import CHANNELS, fill
-from ditr_lite.config import Config, from_dict
+from ditr_lite.config import Config, from_dict, to_dict
 from ditr_lite.data import SAMPLES
 from ditr_lite.evaluation import results
 from ditr_lite.evaluation.statistics import bootstrap_mean, interval, paired_bootstrap
 from ditr_lite.pipeline import build
 from ditr_lite.schedule import make_schedule
 from ditr_lite.stage_two import BRANCHES, Painter, encode_picture
-from ditr_lite.store import load_part, read_card
+from ditr_lite.store import fingerprint, load_part, read_card
 from ditr_lite.training.batches import Batch, batch_of, frames_in_order
 from ditr_lite.training.loop import Recipe, fit
 from ditr_lite.training.recipes import branch_inputs
@@ -115,7 +116,9 @@ def train_branch(
         mask = F.avg_pool2d(paint * batch.gt_known, 4) + 0.05
         return {"total": diffusion.loss(out, x0, eps, t, schedule, config.sampler.prediction, mask=mask)}
 
-    return fit(f"guide-{branch}", painter.net, step_loss, recipe, work, every=100, key=checksum(scenes))
+    given = [fingerprint(net) for net in (painter.autoencoder, painter.encoder) if net is not None]
+    key = json.dumps([checksum(scenes), to_dict(config), given])  # what a checkpoint that is gone on with must agree on
+    return fit(f"guide-{branch}", painter.net, step_loss, recipe, work, every=100, key=key)
 
 
 @torch.no_grad()

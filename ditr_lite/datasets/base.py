@@ -41,6 +41,8 @@ class FrameFolder:
         globs = (self.frame,) if isinstance(self.frame, str) else self.frame
         found = [path for glob in globs for path in self.find(glob)] if self.root.is_dir() else []
         found = [path for path in found if not is_hidden(path, self.root)]
+        if self.suffix.startswith("/"):  # a frame is a folder, named by its place below the root: the root is none
+            found = [path for path in found if path.parent != self.root]
         names = (path.relative_to(self.root).as_posix().removesuffix(self.suffix) for path in found)
         self.names = sorted(name for name in names if split is None or self.in_split(name))
         if not self.names:

@@ -22,6 +22,7 @@ from ..units import depth_to_png
 from .dreds import BACKGROUND
 
 JPEG_QUALITY = 95
+ROOMS = {"rooms_train": "train", "rooms_val": "val", "rooms": "test"}  # no dataset tells the two kinds of scenes apart
 SPLIT_FOLDERS = {  # ours -> theirs, where they are called otherwise
     "cleargrasp": {"train": "real-val", "val": "real-val", "test": "real-test"},
     "std": {"train": "train", "val": "test", "test": "test"},
@@ -37,7 +38,7 @@ def export(dataset: str, root: Path | str, samples: Iterable[Sample], split: str
         dataset: a name of :data:`WRITERS`.
         root: new or empty folder.
         samples: with ground truth, region and camera, as our scenes have them; numbered in their order.
-        split: of our scenes; a dataset without such a split gets its nearest (see ``SPLIT_FOLDERS``).
+        split: of our scenes, rooms included; a dataset without such a split gets its nearest (see ``SPLIT_FOLDERS``).
 
     Returns:
         ``root``.
@@ -50,6 +51,7 @@ def export(dataset: str, root: Path | str, samples: Iterable[Sample], split: str
     root = Path(root)
     if root.exists() and (not root.is_dir() or any(root.iterdir())):
         raise ValueError(f"{root} exists and is not an empty folder: choose another place to export to")
+    split = ROOMS.get(split, split)
     theirs = SPLIT_FOLDERS.get(dataset, {}).get(split, split)
     place = root.resolve().parent
     place.mkdir(parents=True, exist_ok=True)

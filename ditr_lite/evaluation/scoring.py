@@ -84,7 +84,8 @@ def run_methods(
         if protocol is not None:
             fed = replace(sample, depth=protocol.prepare(sample.depth))
             if not np.array_equal(fed.depth, sample.depth):
-                _, maps, _ = _complete(fed, ditr, methods, given_region, steps, samples_per_frame)
+                asked = (ditr, methods, given_region, steps, samples_per_frame)
+                _, maps, result["protocol_refused"] = _complete(fed, *asked)
             scores = {name: protocol.score(depth, sample) for name, depth in maps.items()}
             result["protocol"] = dict.fromkeys([DITR, *methods]) | scores
         results.append(result)
@@ -157,16 +158,13 @@ def summary(results: Sequence[Result], protocol: Protocol | None = None) -> dict
         "differences": {name: _differences(results, name) for name in results[0]["methods"] if name != DITR},
         "stage_one": {},
         "kept": all(r["kept"] for r in results),
-        "refused": {},
     }
     for key in STAGE_ONE + PER_CLASS:
         values = [f.get(key) for f in found]
         out["stage_one"][key] = interval(bootstrap_mean, values)
-    for name in results[0]["methods"]:
-        reasons = Counter(r["refused"][name] for r in results if name in r["refused"])
-        if reasons:
-            out["refused"][name] = dict(reasons)
+    out["refused"] = _reasons(results, "refused")
     if "protocol" in results[0]:
+        out["protocol_refused"] = _reasons(results, "protocol_refused")
         out["protocol"] = _averages(results, "protocol", protocol.average if protocol else metrics.average)
     return out
 
@@ -190,6 +188,8 @@ def format_report(report: Mapping[str, Any], protocol: Protocol | None = None) -
         rows = {name: row or {} for name, row in report["protocol"].items()}
         lines += [f"As {protocol.name}'s code scores: {protocol.describe()}"]
         lines += [metrics.format_table(rows, protocol.sets)]
+        for name, reasons in report["protocol_refused"].items():
+            lines += [f"{name} refused {count} frames as that code feeds them: {why}" for why, count in reasons.items()]
     one = report["stage_one"]
     if one["iou"] is not None:
         figures = (f"{key} {format_interval(one[key], 1, '.3f')}" for key in STAGE_ONE + PER_CLASS if one.get(key))
@@ -226,6 +226,12 @@ def to_json(
     one = {name: {key: v if v is None else round(v, 6) for key, v in row.items()} for name, row in one.items()}
     begin = head(command, weights, **notes)
     return {**begin, "summary": summary(results, protocol), "rmse_m": frames, "stage_one": one}
+
+
+def _reasons(results: Sequence[Result], key: str) -> dict[str, dict[str, int]]:
+    """Return method -> reason -> frames that it refused, of the methods that refused any."""
+    found = {name: Counter(r[key][name] for r in results if name in r.get(key, {})) for name in results[0]["methods"]}
+    return {name: dict(reasons) for name, reasons in found.items() if reasons}
 
 
 def _averages(results: Sequence[Result], key: str, average: Callable[[list], dict]) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from ..pipeline import build
 from ..stage_two import colour_features
 from ..training.loop import WHOLE, Recipe, optimiser_of
 from ..training.parts import assemble
-from ..training.recipes import CROP
+from ..training.recipes import CROP, freeze_early
 from ..training.scenes import Pool, Scenes
 from ..unet import STRIDE
 
@@ -40,7 +40,7 @@ class StepCost:
 
     Attributes:
         parameters: that are trained.
-        frozen: parameters of the networks that it builds on.
+        frozen: parameters that are not, its own and of the networks that it builds on.
         flops: operations of a step, forwards and backwards, of the whole batch.
         activations: bytes that a frame keeps for the backward pass.
         memory: bytes in all, of one process with ``frames`` at a time.
@@ -79,16 +79,19 @@ def step_cost(part: str, config: Config, recipe: Recipe, shares: int = 1) -> Ste
     parts["autoencoder"].quantizer.eval()  # moving the codebook is not differentiated, and costs little
     for name, other in parts.items():
         other.requires_grad_(name == part)
+    if part == "region":
+        freeze_early(model)  # as its recipe does
     with torch.device("meta"):
         given = _given(part, config)
         flops, kept = count_training(lambda: _run(part, parts, given), model)
     used = {"region": (), "autoencoder": ()}.get(part, ("autoencoder", "encoder"))
     used = (*used, "optical", "geometric") if part == "detail" else used
-    frozen = sum(_count(parts[name]) for name in used if name in parts)
+    trained = sum(p.numel() for p in model.parameters() if p.requires_grad)
+    frozen = _count(model) - trained + sum(_count(parts[name]) for name in used if name in parts)
     copies = 5 if recipe.optimiser == "adam" else 4  # weights, gradients, average, two moments or one
     frames = -(-recipe.batch // shares)
-    memory = FLOAT * (copies * _count(model) + frozen) + frames * kept
-    return StepCost(_count(model), frozen, recipe.batch * flops, kept, memory, frames)
+    memory = FLOAT * (copies * trained + frozen) + frames * kept
+    return StepCost(trained, frozen, recipe.batch * flops, kept, memory, frames)
 
 
 def count_training(fn: Callable[[], Sequence[Tensor]], model: nn.Module) -> tuple[int, int]:

@@ -1,13 +1,14 @@
 """Score DITR, its learned peers, its ablation and its oracles: same frames, same region from stage one, same pixels.
 
-Every row is kept in a file of its own as soon as it is complete, with a checksum of what it depends on: what is asked
-again costs nothing, and after a change of weights only what depends on them is computed anew.
+Every row is kept in a file of its own as soon as it is complete, with a checksum of the weights and settings that it
+depends on: what is asked again costs nothing, and after a change of weights only what depends on them is computed anew.
 """
 
 import hashlib
 import importlib.util
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from tqdm.auto import tqdm
 
 from .. import metrics
 from ..baselines import REGISTRY
-from ..config import RefineConfig
+from ..config import RefineConfig, StdConfig, to_dict
 from ..data import Sample
 from ..files import read_json, write_depth, write_json
 from ..pipeline import Ditr, compose
@@ -66,8 +67,9 @@ def methods(ditr: Ditr, folder: Path | str) -> dict[str, tuple[Method, str]]:
     arms = system.trained(folder)
     if "ditr" not in arms:
         raise ValueError(f"{folder} holds no trained 'ditr': run `python tools/train_peers.py` first")
-    shipped = _key(*(part["sha256"] for part in read_card()["parts"].values()))
-    stage_one = read_card()["parts"]["region"]["sha256"]
+    settings = json.dumps(to_dict(replace(ditr.config, std=StdConfig())), sort_keys=True)  # std moves no depth
+    shipped = _key(settings, *(part["sha256"] for part in read_card()["parts"].values()))
+    stage_one = _key(settings, read_card()["parts"]["region"]["sha256"])
     parts = read_card(folder)["parts"]
 
     def arm_key(arm: str, seed: int) -> str:

@@ -29,14 +29,14 @@ from torch import Tensor, nn
 
 from ..boundary import Backend, get_backend
 from ..conditioning import condition
-from ..config import Config, override, preset
+from ..config import Config, override, preset, to_dict
 from ..data import Sample
 from ..files import write_json
 from ..metrics import rmse
 from ..pipeline import build
 from ..schedule import make_schedule
 from ..stage_two import BRANCHES, Painter, Views, colour_features
-from ..store import WEIGHTS, copy_part, read_card, save_part
+from ..store import WEIGHTS, copy_part, fingerprint, read_card, save_part
 from ..training import recipes
 from ..training.batches import Batch
 from ..training.loop import ROUNDS, Losses, Recipe, Share, Step, fit, time_steps
@@ -124,7 +124,9 @@ def train_peers(
             recipe = replace(RECIPE, steps=steps, warmup=max(1, min(RECIPE.warmup, steps // 10)))
             loss = step_loss(name, net, parts, pool, config, seed)
             started = time.process_time()
-            notes = fit(f"{tag}-{seed}", net, loss, recipe, work, every=EVERY, seed=seed, key=scenes)
+            below = {given: fingerprint(part) for given, part in parts.items() if given in system.GIVEN}
+            key = json.dumps([scenes, to_dict(config), below], sort_keys=True)
+            notes = fit(f"{tag}-{seed}", net, loss, recipe, work, every=EVERY, seed=seed, key=key)
             own |= {"recipe": vars(recipe), "cpu_seconds": round(time.process_time() - started, 1)}
             own |= {"scenes": len(pool), "parameters": sum(p.numel() for p in net.parameters())}
             save_part(f"{tag}-{seed}", net.state_dict(), config, out, notes | own)

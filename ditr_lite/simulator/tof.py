@@ -73,8 +73,9 @@ def multipath(points: np.ndarray, normals: np.ndarray, camera: Camera, albedo: f
         albedo: share of light that surfaces throw back.
     """
     coarse, step = 4, 8
-    p, n = points[::coarse, ::coarse].reshape(-1, 3), normals[::coarse, ::coarse].reshape(-1, 3)
-    q, m = points[::step, ::step].reshape(-1, 3), normals[::step, ::step].reshape(-1, 3)
+    at_p, at_q = (np.s_[k // 2 :: k, k // 2 :: k] for k in (coarse, step))  # the middles of patches
+    p, n = points[at_p].reshape(-1, 3), normals[at_p].reshape(-1, 3)
+    q, m = points[at_q].reshape(-1, 3), normals[at_q].reshape(-1, 3)
     ray = q / np.maximum(np.linalg.norm(q, axis=1, keepdims=True), 1e-9)
     solid = step**2 / (camera.fx * camera.fy) * ray[:, 2] ** 3  # of one patch, seen by the camera
     between = q[None] - p[:, None]  # (P, Q, 3)
@@ -86,8 +87,10 @@ def multipath(points: np.ndarray, normals: np.ndarray, camera: Camera, albedo: f
     share = albedo * solid * facing_p * facing_q / (np.pi * np.maximum(apart, 0.02) ** 2) / direct[:, None]
     detour = np.maximum(far_q[None] + apart - far_p[:, None], 0) / 2
     bias = (share * detour).sum(1) / (1 + share.sum(1))
-    small = bias.reshape(points[::coarse, ::coarse].shape[:2]).astype(np.float32)
-    return cv2.resize(small, points.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    small = bias.reshape(points[at_p].shape[:2]).astype(np.float32)
+    rows, columns = ((np.arange(count, dtype=np.float32) - coarse // 2) / coarse for count in points.shape[:2])
+    where = np.meshgrid(columns, rows)  # of every pixel in ``small``; resizing would shift what a middle was asked for
+    return cv2.remap(small, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def surface_normals(points: np.ndarray) -> np.ndarray:

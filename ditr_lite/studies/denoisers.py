@@ -5,6 +5,7 @@ other choices are worth. One thing is changed at a time. All variants see the sa
 """
 
 import copy
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -17,11 +18,12 @@ from torch import Tensor, nn
 
 from ..boundary import get_backend
 from ..conditioning import CHANNELS
-from ..config import Config, override
+from ..config import Config, override, to_dict
 from ..evaluation.statistics import bootstrap_mean, format_interval, paired_bootstrap
 from ..files import read_json, write_json
 from ..schedule import make_schedule
 from ..stage_two import Painter, Views, paint
+from ..store import fingerprint
 from ..training import recipes
 from ..training.loop import Recipe, Step, fit, time_steps
 from ..training.parts import held_out_batches, root_mean_square
@@ -123,7 +125,8 @@ def train_denoiser(
         steps = max(1, round(60 * minutes * share / seconds[called]))
         recipe = replace(RECIPE, steps=steps, decay=change.decay, warmup=max(1, min(RECIPE.warmup, steps // 10)))
         step = variant_step(change, painter, pool, own, seed, teacher)
-        file, key = f"{name}-{called}".replace(" ", "_"), f"{name} {checksum(*pool.groups)}"
+        file, below = f"{name}-{called}".replace(" ", "_"), {part: fingerprint(net) for part, net in given.items()}
+        key = json.dumps([name, checksum(*pool.groups), to_dict(own), below], sort_keys=True)
         fit(file, painter.net, step, recipe, work, every=100, seed=seed, key=key)
         painter.net.eval()
         return steps

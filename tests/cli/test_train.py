@@ -13,7 +13,7 @@ import pytest
 
 from ditr_lite import data, store
 from ditr_lite.cli import main
-from ditr_lite.cli.train import count_frames
+from ditr_lite.cli.train import count_frames, judgement
 
 TINY = ["--preset", "tiny", "--steps", "1", "--batch", "2"]
 SMALL = ["size=64,96", "autoencoder.width=8", "autoencoder.codes=64", "unet.width=8", "unet.cond_channels=8"]
@@ -194,3 +194,12 @@ def test_two_weights_folders_are_compared_on_the_same_frames(weights, scenes, tm
     assert found["rmse_m"]["first"] == found["rmse_m"]["second"] and len(found["frames"]) == 2
     assert found["weights_sha256"] == found["second_sha256"]
     assert "no weights in" in refused(["compare", str(weights), str(tmp_path / "none")], capsys)
+
+
+@pytest.mark.parametrize(
+    ("after", "word"),
+    [((0.1, 0.2, 0.3), "helped"), ((0.5, 0.7, 0.9), "harmed"), ((0.3, 0.4, 0.5), "no measurable difference")],
+)
+def test_a_lower_error_after_fine_tuning_is_called_a_help(after, word):
+    judged = {"before": [0.3, 0.4, 0.5], "after": list(after), "kept": "tuned"}
+    assert word in judgement("optical", {"judged": judged, "best_step": 3})

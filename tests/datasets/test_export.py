@@ -125,6 +125,20 @@ def test_the_command_writes_what_evaluate_reads(tmp_path, capsys):
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.parametrize("name", THEIRS)
+@pytest.mark.parametrize(("rooms", "ours"), [("rooms_train", "train"), ("rooms_val", "val"), ("rooms", "test")])
+def test_rooms_go_where_table_tops_of_like_use_go(tmp_path, name, rooms, ours):
+    one, two = (export.export(name, tmp_path / split, SCENES[:1], split) for split in (rooms, ours))
+    lists = [sorted(p.relative_to(root).as_posix() for p in root.rglob("*")) for root in (one, two)]
+    assert lists[0] == lists[1]
+
+
+def test_a_folder_that_is_itself_a_frame_holds_none(tmp_path):
+    root = export.export("todd", tmp_path / "new", SCENES[:1], "val")
+    with pytest.raises(ValueError, match="no TODD frames"):
+        datasets.REGISTRY["todd"](root / "val" / "1622500000.0")
+
+
 def test_a_frame_without_truth_cannot_be_exported(tmp_path):
     bare = Sample("x", np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32))
     with pytest.raises(ValueError, match="x lacks ground truth"):

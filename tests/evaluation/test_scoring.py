@@ -207,6 +207,15 @@ def test_cleargrasp_protocol_cleans_the_input_and_scores_the_region_at_its_size(
     assert "As ClearGrasp's code scores" in format_report(summary([result]), CLEARGRASP)
 
 
+def test_a_frame_that_a_protocol_leaves_without_a_reading_is_counted():
+    near = make_sample()
+    near.depth[:] = np.where(near.depth > 0, 0.05, 0)  # ClearGrasp's code drops what is nearer than 10 cm
+    results = run_methods([make_sample("b"), near], FakeDitr(), {}, progress=False, protocol=CLEARGRASP)
+    text = format_report(summary(results, CLEARGRASP), CLEARGRASP)
+    assert "ditr refused 1 frames as that code feeds them: no reading in the frame" in text
+    assert "ditr refused 1 of" not in text
+
+
 def test_pooled_columns_of_a_protocol_reach_the_report_and_the_json(tmp_path):
     small, large = make_sample("a"), make_sample("b")
     small.region[24:] = False

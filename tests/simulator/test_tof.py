@@ -113,6 +113,14 @@ def test_a_corner_reads_too_far_most_at_its_edge():
     assert np.allclose(tof.multipath(points, normals, CAMERA, albedo=0.0), 0)  # black walls throw nothing back
 
 
+def test_the_light_of_a_second_surface_is_put_where_it_was_asked_for():
+    left, right = wall_at(0.6, 0.9), wall_at(0.6, -0.9)
+    inner = left[0][..., 2] < right[0][..., 2]
+    points, normals = (np.where(inner[..., None], a, b) for a, b in zip(left, right, strict=True))
+    bias = tof.multipath(points, normals, CAMERA)
+    assert np.abs(bias - bias[:, ::-1]).mean() < 0.1 * bias.mean()  # the corner is symmetric, and so is what it reads
+
+
 def test_a_matt_table_is_read_as_it_is_and_dim_light_is_not_read():
     pytest.importorskip("mitsuba")
     quiet = tof.TimeOfFlight(noise_m=0.0)

@@ -89,3 +89,12 @@ def test_the_command_writes_what_it_measured(tiny, tmp_path, monkeypatch, capsys
     assert "| all distances off by one factor |" in capsys.readouterr().out
     written = results.read("remedies", tmp_path)
     assert len(written["frames"]) == 1 and written["rows"][0]["before_m"][0] > 0.1
+
+
+def test_what_lowers_the_error_helps_and_what_raises_it_costs(tiny, monkeypatch):
+    errors = [[{"before_m": 0.03 + 0.001 * k, "after_m": after} for after in (0.01, 0.05)] for k in range(4)]
+    monkeypatch.setattr(remedies, "REMEDIES", remedies.REMEDIES[:2])
+    monkeypatch.setattr(remedies, "remedy_errors", lambda ditr, k: errors[k])
+    helps, costs = remedies.score_remedies(tiny, range(4))
+    assert helps["minus_m"][0] == pytest.approx(-0.0215) and remedies.effect(helps["minus_m"]) == "helps"
+    assert costs["minus_m"][0] == pytest.approx(0.0185) and remedies.effect(costs["minus_m"]) == "costs"
