@@ -42,6 +42,8 @@ def test_every_row_is_asked_about_every_frame_once(frames, tmp_path):
     score("b")
     assert len(asked) == 4  # other weights: everything anew
     assert json.loads((tmp_path / "truth_told.json").read_text())["key"] == "b"
+    score("c", frames[:1]), score("c")
+    assert len(asked) == 6  # what other weights made of the second frame is not theirs
 
 
 def test_the_shipped_row_is_the_system(ditr, frames):
