@@ -103,10 +103,15 @@ def test_one_plane_sees_itself_not_and_has_unit_normals(z, slope):
     assert np.abs(tof.multipath(points, normals, CAMERA)).max() < 1e-4
 
 
-def test_a_corner_reads_too_far_most_at_its_edge():
+def corner():
+    """Return points and normals of two walls that meet in an edge pointing away from the camera."""
     left, right = wall_at(0.6, 0.9), wall_at(0.6, -0.9)
-    inner = left[0][..., 2] < right[0][..., 2]  # the nearer of both: an edge that points away from the camera
-    points, normals = (np.where(inner[..., None], a, b) for a, b in zip(left, right, strict=True))
+    inner = left[0][..., 2] < right[0][..., 2]  # the nearer of both
+    return tuple(np.where(inner[..., None], a, b) for a, b in zip(left, right, strict=True))
+
+
+def test_a_corner_reads_too_far_most_at_its_edge():
+    points, normals = corner()
     bias = tof.multipath(points, normals, CAMERA)
     assert bias.min() >= 0 and 0.001 < bias[24].max() < 0.05
     assert bias[24, 22:30].mean() > 1.4 * bias[24, :6].mean()
@@ -114,9 +119,7 @@ def test_a_corner_reads_too_far_most_at_its_edge():
 
 
 def test_the_light_of_a_second_surface_is_put_where_it_was_asked_for():
-    left, right = wall_at(0.6, 0.9), wall_at(0.6, -0.9)
-    inner = left[0][..., 2] < right[0][..., 2]
-    points, normals = (np.where(inner[..., None], a, b) for a, b in zip(left, right, strict=True))
+    points, normals = corner()
     bias = tof.multipath(points, normals, CAMERA)
     assert np.abs(bias - bias[:, ::-1]).mean() < 0.1 * bias.mean()  # the corner is symmetric, and so is what it reads
 
