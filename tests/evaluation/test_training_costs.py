@@ -20,6 +20,7 @@ from ditr_lite.evaluation.training_costs import (
 from ditr_lite.pipeline import build
 from ditr_lite.training.loop import Recipe
 from ditr_lite.training.parts import PARTS
+from ditr_lite.training.recipes import freeze_early
 
 TINY = preset("tiny")
 RECIPE = Recipe(steps=10, batch=4, lr=1e-3)
@@ -82,3 +83,11 @@ def test_a_measured_step_is_the_counted_one():
     wide = measure_step("geometric", override(TINY, **{"unet.width": 16}), scenes, 2, runs=1)
     assert gflop == pytest.approx(step_cost("geometric", TINY, replace(RECIPE, batch=2)).flops / 1e9)
     assert wide[0] > 2 * gflop and wide[1] > gb and min(seconds, wide[2]) > 0
+
+
+def test_the_first_stages_of_a_pretrained_encoder_are_not_trained():
+    cost = step_cost("region", preset("lite"), RECIPE)
+    model = build(preset("lite"))["region"]
+    freeze_early(model)
+    assert cost.parameters == sum(p.numel() for p in model.parameters() if p.requires_grad)
+    assert cost.frozen == sum(p.numel() for p in model.parameters() if not p.requires_grad) > 0
