@@ -239,12 +239,12 @@ def _workers(count: int) -> Iterator[ProcessPoolExecutor]:
     try:
         yield pool
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
         ours = set(active_children()) - others
         for process in ours:
             process.terminate()
         for process in ours:
             process.join(PATIENCE_S)
+        pool.shutdown(cancel_futures=True)  # its thread has ended then: Python, ending beside it, would complain
         raise
     pool.shutdown()
 

@@ -1,5 +1,8 @@
+import threading
+import time
 from concurrent.futures import Future
 from dataclasses import replace
+from multiprocessing import active_children
 
 import numpy as np
 import pytest
@@ -219,6 +222,14 @@ class InPlace:
         job = Future()
         job.set_result(function(*args))
         return job
+
+
+def test_workers_that_an_error_ends_leave_no_process_and_no_thread():
+    before = {*threading.enumerate(), *active_children()}
+    with pytest.raises(ZeroDivisionError), simulator._workers(1) as pool:
+        pool.submit(time.sleep, 60)
+        raise ZeroDivisionError
+    assert {*threading.enumerate(), *active_children()} <= before
 
 
 @pytest.mark.parametrize("split, count", [("holdout", 1), ("train", 0)])
