@@ -18,6 +18,7 @@ import soak
 import student_copy as students
 import torch
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
+from safetensors.torch import save_file
 
 from ditr_lite import store
 from ditr_lite.config import RefineConfig, StdConfig, preset
@@ -336,6 +337,13 @@ def test_what_breaks_programs_does_not_break_this_one(check, monkeypatch):
     monkeypatch.setattr(soak, "STEPS", 20)
     found = soak.run(check, 0)
     assert found["right"] == found["tried"] > 1, found
+
+
+def test_what_a_killed_writer_leaves_is_no_checkpoint(tmp_path):
+    (tmp_path / "work").mkdir()
+    save_file({"a": torch.ones(2)}, tmp_path / "work" / "run.safetensors")
+    (tmp_path / "work" / ".run.0123456789ab.part.safetensors").touch()
+    assert list(soak.bits(tmp_path)) == ["run.safetensors a"]
 
 
 def test_a_check_that_fails_or_raises_is_counted_as_wrong(monkeypatch, capsys):

@@ -274,9 +274,9 @@ def ended(process: subprocess.Popen) -> int:
 
 
 def bits(folder: Path) -> dict[str, bytes]:
-    """Return name -> bytes of every tensor of the checkpoints and weights of a training."""
+    """Return name -> bytes of every tensor of the checkpoints and weights of a training, leftovers of writers aside."""
     found = {}
-    for path in sorted(folder.rglob("*.safetensors")):
+    for path in sorted(folder.rglob("[!.]*.safetensors")):
         found |= {f"{path.name} {name}": tensor.numpy().tobytes() for name, tensor in load_file(path).items()}
     return found
 
