@@ -11,7 +11,6 @@ stopped run goes on where it was.
 """
 
 import argparse
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -24,18 +23,18 @@ from tqdm.auto import tqdm
 from ditr_lite import diffusion
 from ditr_lite.boundary import ExactBoundary, boundary_maps, get_backend
 from ditr_lite.conditioning import CHANNELS, fill
-from ditr_lite.config import Config, from_dict, to_dict
+from ditr_lite.config import Config, from_dict
 from ditr_lite.data import SAMPLES
 from ditr_lite.evaluation import results
 from ditr_lite.evaluation.statistics import bootstrap_mean, interval, paired_bootstrap
 from ditr_lite.pipeline import build
 from ditr_lite.schedule import make_schedule
 from ditr_lite.stage_two import BRANCHES, Painter, encode_picture
-from ditr_lite.store import fingerprint, load_part, read_card
+from ditr_lite.store import load_part, read_card
 from ditr_lite.training.batches import Batch, batch_of, frames_in_order
 from ditr_lite.training.loop import Recipe, fit
 from ditr_lite.training.recipes import branch_inputs
-from ditr_lite.training.scenes import Scenes, checksum, load_scenes, shrink
+from ditr_lite.training.scenes import Scenes, checkpoint_key, load_scenes, shrink
 from ditr_lite.training.views import frame_view
 from ditr_lite.unet import DenoisingUNet
 
@@ -116,8 +115,8 @@ def train_branch(
         mask = F.avg_pool2d(paint * batch.gt_known, 4) + 0.05
         return {"total": diffusion.loss(out, x0, eps, t, schedule, config.sampler.prediction, mask=mask)}
 
-    given = [fingerprint(net) for net in (painter.autoencoder, painter.encoder) if net is not None]
-    key = json.dumps([checksum(scenes), to_dict(config), given])  # what a checkpoint that is gone on with must agree on
+    given = {"autoencoder": painter.autoencoder} | ({} if painter.encoder is None else {"encoder": painter.encoder})
+    key = checkpoint_key(config, [scenes], given)
     return fit(f"guide-{branch}", painter.net, step_loss, recipe, work, every=100, key=key)
 
 

@@ -29,19 +29,19 @@ from torch import Tensor, nn
 
 from ..boundary import Backend, get_backend
 from ..conditioning import condition
-from ..config import Config, override, preset, to_dict
+from ..config import Config, override, preset
 from ..data import Sample
 from ..files import write_json
 from ..metrics import rmse
 from ..pipeline import build
 from ..schedule import make_schedule
 from ..stage_two import BRANCHES, Painter, Views, colour_features
-from ..store import WEIGHTS, copy_part, fingerprint, read_card, save_part
+from ..store import WEIGHTS, copy_part, read_card, save_part
 from ..training import recipes
 from ..training.batches import Batch
 from ..training.loop import ROUNDS, Losses, Recipe, Share, Step, fit, time_steps
 from ..training.parts import painter_of
-from ..training.scenes import Pool, checksum, first, load_scenes
+from ..training.scenes import Pool, checkpoint_key, checksum, first, load_scenes
 from . import system
 from .ideas import IDEAS, Idea
 
@@ -124,8 +124,7 @@ def train_peers(
             recipe = replace(RECIPE, steps=steps, warmup=max(1, min(RECIPE.warmup, steps // 10)))
             loss = step_loss(name, net, parts, pool, config, seed)
             started = time.process_time()
-            below = {given: fingerprint(part) for given, part in parts.items() if given in system.GIVEN}
-            key = json.dumps([scenes, to_dict(config), below], sort_keys=True)
+            key = checkpoint_key(config, pool.groups, {given: parts[given] for given in system.GIVEN if given in parts})
             notes = fit(f"{tag}-{seed}", net, loss, recipe, work, every=EVERY, seed=seed, key=key)
             own |= {"recipe": vars(recipe), "cpu_seconds": round(time.process_time() - started, 1)}
             own |= {"scenes": len(pool), "parameters": sum(p.numel() for p in net.parameters())}

@@ -5,7 +5,6 @@ other choices are worth. One thing is changed at a time. All variants see the sa
 """
 
 import copy
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,16 +17,15 @@ from torch import Tensor, nn
 
 from ..boundary import get_backend
 from ..conditioning import CHANNELS
-from ..config import Config, override, to_dict
+from ..config import Config, override
 from ..evaluation.statistics import bootstrap_mean, format_interval, paired_bootstrap
 from ..files import read_json, write_json
 from ..schedule import make_schedule
 from ..stage_two import Painter, Views, paint
-from ..store import fingerprint
 from ..training import recipes
 from ..training.loop import Recipe, Step, fit, time_steps
 from ..training.parts import held_out_batches, root_mean_square
-from ..training.scenes import Pool, Scenes, checksum, first
+from ..training.scenes import Pool, Scenes, checkpoint_key, first
 from ..unet import DenoisingUNet
 from .denoiser_steps import OrientedUNet, score_decoded, score_oriented, score_student
 
@@ -125,8 +123,7 @@ def train_denoiser(
         steps = max(1, round(60 * minutes * share / seconds[called]))
         recipe = replace(RECIPE, steps=steps, decay=change.decay, warmup=max(1, min(RECIPE.warmup, steps // 10)))
         step = variant_step(change, painter, pool, own, seed, teacher)
-        file, below = f"{name}-{called}".replace(" ", "_"), {part: fingerprint(net) for part, net in given.items()}
-        key = json.dumps([name, checksum(*pool.groups), to_dict(own), below], sort_keys=True)
+        file, key = f"{name}-{called}".replace(" ", "_"), checkpoint_key(own, pool.groups, given)
         fit(file, painter.net, step, recipe, work, every=100, seed=seed, key=key)
         painter.net.eval()
         return steps

@@ -1,14 +1,18 @@
 """Rendered scenes as arrays in memory, and pools of them that training draws from."""
 
 import hashlib
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from torch import nn
 from tqdm.auto import tqdm
 
+from ..config import Config, to_dict
 from ..data import read_sample, sample_folders
+from ..store import fingerprint
 from ..units import depth_to_png
 from ..windows import fit_frame
 
@@ -134,3 +138,15 @@ def checksum(*groups: Scenes) -> str:
             digest.update(f"{name} {maps.shape}".encode())
             digest.update(np.ascontiguousarray(maps).ravel())
     return digest.hexdigest()
+
+
+def checkpoint_key(config: Config, groups: Sequence[Scenes], given: Mapping[str, nn.Module]) -> str:
+    """Return what a checkpoint must agree on, beside recipe and seed, to be gone on with: the ``key`` of ``loop.fit``.
+
+    Args:
+        config: sizes.
+        groups: of scenes that are trained on.
+        given: name -> network that is trained already and that the new one builds on.
+    """
+    built_on = {name: fingerprint(network) for name, network in given.items()}
+    return json.dumps([to_dict(config), checksum(*groups), built_on], sort_keys=True)

@@ -72,6 +72,12 @@ def test_guide_study_gives_every_guide_to_both_branches_and_goes_on_where_it_was
         assert 0 < low <= mean <= high
     assert study.main(argv) == 0  # from the checkpoints: nothing is left to train
     assert json.loads(target.read_text())["branches"] == first["branches"]
+    other = store.load_part("autoencoder", weights)
+    other = {name: tensor + 1 if tensor.is_floating_point() else tensor for name, tensor in other.items()}
+    store.copy_weights(weights, tmp_path / "other", store.read_config(weights))
+    store.save_part("autoencoder", other, store.read_config(weights), tmp_path / "other", {})
+    with pytest.raises(ValueError, match="belongs to another run, of other settings"):
+        study.main([*argv, "--weights", str(tmp_path / "other")])
 
 
 def test_the_guides_of_the_study_differ_only_where_they_should():

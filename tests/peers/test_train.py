@@ -1,4 +1,5 @@
 import json
+import shutil
 
 import pytest
 import torch
@@ -60,6 +61,15 @@ def test_an_arm_trains_all_its_networks_and_can_be_run_again(arm, tmp_path, weig
     assert run(arm, tmp_path, weights, pool) == entries  # nothing is trained twice
     with pytest.raises(ValueError, match="of other scenes or another time"):
         run(arm, tmp_path, weights, pool, minutes=1)
+
+
+def test_an_arm_does_not_go_on_above_another_autoencoder(tmp_path, weights, pool):
+    run("regression", tmp_path, weights, pool)
+    shutil.rmtree(tmp_path / "out")
+    torch.manual_seed(1)
+    save_part("autoencoder", build(TINY)["autoencoder"].state_dict(), TINY, tmp_path / "other", {})
+    with pytest.raises(ValueError, match="belongs to another run, of other settings"):
+        run("regression", tmp_path, tmp_path / "other", pool)
 
 
 def test_steps_follow_from_the_time_of_one(tmp_path, weights, pool):

@@ -44,6 +44,14 @@ def test_a_variant_is_trained_and_scored(name, pool, given, tmp_path):
     assert len(errors) == 2 and (errors > 0).all()
 
 
+def test_a_variant_does_not_go_on_above_another_autoencoder(pool, given, tmp_path):
+    denoisers.train_denoiser("default", 1e-5, pool, given, TINY, tmp_path)
+    torch.manual_seed(1)
+    other = {"autoencoder": build(TINY)["autoencoder"].eval()}
+    with pytest.raises(ValueError, match="belongs to another run, of other settings"):
+        denoisers.train_denoiser("default", 1e-5, pool, other, TINY, tmp_path)
+
+
 @pytest.fixture
 def drawn(pool):
     backend = denoisers.get_backend("classical")

@@ -51,6 +51,19 @@ def test_what_helps_is_kept_and_judged_by_frames_that_chose_nothing(start, tmp_p
     assert any(not torch.equal(old[key], new[key]) for key in old)
 
 
+def test_other_frames_judge_than_those_that_say_when_to_stop(start, tmp_path, monkeypatch):
+    held_out, asked = own(7, 7), []
+    chooses, judges = split_held_out(held_out)
+
+    def errors_of(*_):
+        return lambda scenes: asked.append(scenes.depth.tobytes()) or np.zeros(len(scenes))
+
+    monkeypatch.setattr(module, "errors_of", errors_of)
+    go("region", start, tmp_path, SHORT, held_out)
+    first, *between, last = asked
+    assert first == last == judges.depth.tobytes() and set(between) == {chooses.depth.tobytes()}
+
+
 @pytest.mark.parametrize("part", ["optical", "detail"])
 def test_what_does_not_help_leaves_the_start(start, tmp_path, part, monkeypatch):
     monkeypatch.setattr(module, "model_errors", lambda model, errors, scenes: np.full(len(scenes), 0.5))  # no gain

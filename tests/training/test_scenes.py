@@ -2,11 +2,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from made_scenes import make_scenes
 
+from ditr_lite.config import override, preset
 from ditr_lite.data import SAMPLES, read_sample, save_sample
 from ditr_lite.training import scenes as module
-from ditr_lite.training.scenes import MAPS, Pool, checksum, first, load_scenes, shrink
+from ditr_lite.training.scenes import MAPS, Pool, checkpoint_key, checksum, first, load_scenes, shrink
 
 VAL = SAMPLES / "val"
 
@@ -56,6 +58,19 @@ def test_a_checksum_is_of_every_map_and_name():
         maps[1, -1, -1] += 1
         others.append(replace(scenes, **{key: maps}))
     assert len({plain, checksum(scenes, scenes), *map(checksum, others)}) == len(others) + 2
+
+
+def test_a_checkpoint_is_of_its_sizes_its_scenes_and_the_networks_below():
+    tiny, groups, net = preset("tiny"), [make_scenes(2, (24, 32))], torch.nn.Linear(2, 1)
+    plain = checkpoint_key(tiny, groups, {"encoder": net})
+    assert checkpoint_key(tiny, groups, {"encoder": net}) == plain
+    others = [
+        checkpoint_key(override(tiny, evidence=not tiny.evidence), groups, {"encoder": net}),
+        checkpoint_key(tiny, [first(groups[0], 1)], {"encoder": net}),
+        checkpoint_key(tiny, groups, {"autoencoder": net}),
+        checkpoint_key(tiny, groups, {"encoder": torch.nn.Linear(2, 1)}),
+    ]
+    assert len({plain, *others}) == 5
 
 
 def test_scenes_shrink_map_by_map():
