@@ -13,7 +13,7 @@ def check_match(attempt: Function) -> bool:
 
     The window of ``2 * half + 1`` pixels a side around (row, column) of ``left``, (H, W) uint8, is compared with the
     windows of ``right`` that lie 0 to ``largest`` columns further left, both included; the smallest sum of absolute
-    differences wins, of equal ones the smallest disparity.
+    differences wins (squared ones decide alike), of equal ones the smallest disparity.
     """
 
     def right_answer(*case, **how):
@@ -118,6 +118,9 @@ def check_refract(attempt: Function) -> bool:
         "the sines are left out: that holds for small angles only": lambda a, n, m: n / m * np.asarray(a),
         "that is the sine; its arcsine is the angle": lambda a, n, m: n / m * np.sin(np.deg2rad(a)),
         "that is the mirrored ray: it leaves at the angle at which it came": lambda a, n, m: np.asarray(a) * 1.0,
+        "beyond the critical angle no ray leaves: NaN there, not 90 degrees": lambda a, n, m: np.rad2deg(
+            np.arcsin(np.minimum(n / m * np.sin(np.deg2rad(a)), 1))
+        ),
     }
     angles = np.array([0.0, 20.0, 50.0, 80.0])
     return check("refraction", attempt, right, [(angles, 1.0, 1.5), (angles, 1.5, 1.0)], mistakes)
@@ -126,7 +129,7 @@ def check_refract(attempt: Function) -> bool:
 def check_label(attempt: Function) -> bool:
     """Check ``attempt(depth, depth_gt, region) -> codes``, 0 to 5 as in ``LossType``; all truth is known here.
 
-    Wrong means off by more than 10 mm *and* by more than 2 %, that is by more than the larger of the two.
+    Wrong means off by more than 10 mm *and* by more than 2 % of the truth, that is by more than the larger of the two.
     """
 
     def made(d, g, r, limit):
@@ -145,6 +148,7 @@ def check_label(attempt: Function) -> bool:
             d, g, r, lambda g: np.minimum(0.010, 0.02 * g)
         ),
         "the 2 % are left out": lambda d, g, r: made(d, g, r, lambda g: 0.010),
+        "the 2 % are of the true depth, not of the reading": lambda d, g, r: made(d, g, r, lambda g: larger(d)),
         "the 10 mm are left out": lambda d, g, r: made(d, g, r, lambda g: 0.02 * g),
         "nothing is ever wrong: in metres 10 mm is 0.010, as a share 2 % is 0.02": lambda d, g, r: made(
             d, g, r, lambda g: np.maximum(10, g)

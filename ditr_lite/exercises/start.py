@@ -17,12 +17,13 @@ def check_disparity_to_depth(attempt: Function) -> bool:
     def right(d, fx, b):
         return np.where(d > 0, fx * b / np.where(d > 0, d, 1), 0)
 
-    disparity = np.array([[30.0, 0.0, 12.5], [60.0, 24.0, -1.0]])
+    disparity = np.array([[30.0, 0.0, 12.5], [60.0, 0.5, -1.0]])
     mistakes = {
         "missing pixels (disparity <= 0) should become 0, not infinite or negative": lambda d, fx, b: fx * b / d,
         "pixels of negative disparity are missing too: matchers mark failure by -1": lambda d, fx, b: np.where(
             d == 0, 0, fx * b / d
         ),
+        "every disparity above 0 counts, less than a pixel too": lambda d, fx, b: right(np.where(d < 1, 0, d), fx, b),
         "that is millimetres; the depth is wanted in metres": lambda d, fx, b: 1000 * right(d, fx, b),
         "the fraction is upside down: depth is fx B / d": lambda d, fx, b: np.where(d > 0, d / (fx * b), 0),
         "the baseline is left out": lambda d, fx, b: right(d, fx, 1),

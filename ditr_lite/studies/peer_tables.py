@@ -196,7 +196,7 @@ def format_peers(report: Mapping[str, Any]) -> str:
     the trust in readings was chosen for cameras, which is not what peers are scored on.
     """
     mean, ratio = report["mean"], report["ratio"]
-    lines = ["RMSE mm, mean over frames".ljust(36) + "".join(k.rjust(11) for k in SETS) + "   optical, DITR over it"]
+    lines = ["RMSE mm, mean over frames".ljust(36) + "".join(k.rjust(11) for k in SETS) + "   optical, +RR over it"]
     for name in (SHIPPED, *with_seeds(mean, EQUAL, "+RR", *IDEAS), *REGISTRY):
         if name in mean:
             over = format_interval(ratio[name]["optical"], 1, ".2f")

@@ -140,7 +140,7 @@ def system(part: str = "00") -> Picture:
     config = preset("lite")
     latent = f"{config.autoencoder.latent_channels} × H/4 × W/4"
     figure, ax = _sheet(400)
-    columns, rows, widths = (74, 238, 406, 570, 726), (78, 206, 334), (132, 152, 152, 134, 132)
+    columns, rows, widths = (70, 238, 424, 587, 732), (78, 206, 334), (128, 152, 148, 130, 124)
     boxes = {
         name: Box(columns[c], rows[r], widths[c], 74, text.format(latent=latent))
         for name, (c, r, text, _) in PARTS.items()
@@ -197,7 +197,9 @@ def _connect_system(ax: Axes, boxes: Mapping[str, Box]) -> None:
 def _bus(ax: Axes, x: float, sources: Sequence[tuple], targets: Sequence[tuple]) -> None:
     """Join lines from ``sources`` in a vertical line at ``x`` and send an arrow to each of ``targets``."""
     heights = [y for _, y in (*sources, *targets)]
-    ax.plot((x, x), (min(heights), max(heights)), color=LINE, linewidth=1.5)
+    # dots and a thick line: a source that stands opposite a target gives to all of them
+    ax.plot((x, x), (min(heights), max(heights)), color=LINE, linewidth=3)
+    ax.plot([x] * len(heights), heights, "o", color=LINE, markersize=6)
     for place, y in sources:
         ax.plot((place, x), (y, y), color=LINE, linewidth=1.5)
     for place, y in targets:
