@@ -132,6 +132,7 @@ def whole_frames(painters: Mapping[str, Painter], config: Config, seed: int = 0)
         drawn = []
         for branch, guide in zip(BRANCHES, (batch.guide_da, batch.guide_rgb), strict=True):  # S8
             views = Views(batch.rgb, batch.depth_n, batch.valid, region, guide, batch.guide_rgb)
+            views = views if config.evidence else views.without_evidence()
             generator = torch.Generator().manual_seed(seed)
             painted = paint(
                 painters[branch], views, schedule, prediction=config.sampler.prediction, generator=generator
@@ -219,7 +220,8 @@ def score_final(
     outputs = at_first_look(model, drawn, config)
     weight = drawn.rgb.new_tensor(CLASS_WEIGHTS)
     segmentation = region_loss(outputs, drawn.material, weight)["total"]
-    region = soft_region(region_probability(outputs), config.refine, straight_through=straight_through)
+    calibrated = region_probability({"logits": outputs["logits"] / config.refine.temperature})  # as the threshold asks
+    region = soft_region(calibrated, config.refine, straight_through=straight_through)
     rmse = final_rmse(final_depth(drawn, region, paints), drawn)
     return {"total": segmentation + rmse_weight * rmse, "segmentation": segmentation, "rmse_m": rmse}
 
@@ -228,7 +230,7 @@ def at_first_look(model: nn.Module, batch: Batch, config: Config) -> dict[str, A
     """Return what stage one says of a batch at the working size, looking at it at the size that it is trained for."""
     size = config.look()
     rgb = F.interpolate(batch.rgb, size=size, mode="bilinear", align_corners=False)
-    depth_n, valid = (F.interpolate(x, size=size, mode="nearest") for x in (batch.depth_n, batch.valid))
+    depth_n, valid = (F.interpolate(x, size=size, mode="nearest-exact") for x in (batch.depth_n, batch.valid))
     outputs = model(rgb, depth_n, valid)
-    back = {key: F.interpolate(outputs[key], size=config.size, mode="bilinear") for key in ("logits", "boundary")}
-    return outputs | back
+    back = partial(F.interpolate, size=config.size, mode="bilinear", antialias=True)
+    return outputs | {key: back(outputs[key]) for key in ("logits", "boundary")}

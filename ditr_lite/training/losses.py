@@ -17,9 +17,14 @@ STEP = 0.02  # of log depth between neighbours, 2 % of the depth: an occlusion b
 
 
 def class_boundary(classes: Tensor) -> Tensor:
-    """Return (B, H, W) bool: pixels whose 3x3 neighbourhood holds more than one class (two pixels wide)."""
-    x = classes[:, None].float()
-    return (F.max_pool2d(x, 3, 1, padding=1) != -F.max_pool2d(-x, 3, 1, padding=1))[:, 0]
+    """Return (B, H, W) bool: known pixels whose 3x3 neighbourhood holds more than one class (two pixels wide).
+
+    What is not known, such as the padding around a picture, is no class: no outline runs along it.
+    """
+    x, unknown = classes[:, None].float(), (classes == IGNORE)[:, None]
+    largest = F.max_pool2d(x.masked_fill(unknown, -1), 3, 1, padding=1)
+    smallest = -F.max_pool2d((-x).masked_fill(unknown, -IGNORE - 1), 3, 1, padding=1)
+    return ((largest != smallest) & ~unknown)[:, 0]
 
 
 def region_loss(

@@ -25,6 +25,7 @@ from ditr_lite.training.finetune import (
     soft_region,
     whole_frames,
 )
+from ditr_lite.windows import at_centres
 
 TINY = override(preset("tiny"), **{"window": 0, "sampler.samples": 1, "refine.median": 3, "refine.dilate": 3})
 KERNELS = [RefineConfig(*k) for k in ((), (3, 3, 1), (0, 5, 2), (5, 0, 3), (3, 3, 0), (3, 3, 1, 0.4))]
@@ -151,6 +152,14 @@ def test_painters_have_the_finer_final_step_where_there_is_one(scenes, parts):
     assert frame_painters(torch.nn.ModuleDict(without), TINY)["optical"].detail is None
 
 
+def test_without_evidence_no_network_sees_a_reading_inside_the_region(scenes, parts):
+    config, batch = override(TINY, evidence=False), frames(scenes)
+    moved = replace(batch, depth_n=batch.depth_n + batch.region)
+    paints = whole_frames(frame_painters(parts, config), config)
+    for one, other in zip(paints(batch, batch.region), paints(moved, batch.region), strict=True):
+        assert torch.equal(one, other)
+
+
 def test_branches_paint_for_the_found_region_joined_with_the_true_one(scenes):
     batch = frames(scenes)
     seen = []
@@ -213,6 +222,30 @@ def test_stage_one_is_shown_frames_at_the_size_of_its_first_look(scenes, parts):
     assert sizes == [{TINY.size}, {(96, 144)}]
     for key in ("logits", "boundary"):
         assert larger[key].shape == plain[key].shape and not torch.allclose(larger[key], plain[key])
+
+
+def test_readings_are_brought_to_the_first_look_as_the_system_brings_them(scenes, parts):
+    batch, seen = frames(scenes), {}
+
+    def net(rgb, depth_n, valid):
+        seen.update(depth_n=depth_n, valid=valid)
+        return parts["region"](rgb, depth_n, valid)
+
+    at_first_look(net, batch, override(TINY, **{"refine.looks": (1.5,)}))
+    for name, found in seen.items():
+        assert np.array_equal(found[0, 0], at_centres(getattr(batch, name)[0, 0].numpy(), (96, 144)))
+
+
+def test_the_threshold_is_asked_of_the_calibrated_probability(scenes, parts, monkeypatch):
+    asked, logits = [], torch.tensor([0.0, 2.0, 1.0])[None, :, None, None].expand(-1, -1, *TINY.size)
+    monkeypatch.setattr(finetune, "at_first_look", lambda *_: {"logits": logits})
+    monkeypatch.setattr(finetune, "region_loss", lambda *_: {"total": torch.zeros(())})
+    monkeypatch.setattr(finetune, "soft_region", lambda p, *_, **how: asked.append(p) or p)
+    monkeypatch.setattr(finetune, "final_depth", lambda drawn, region, paints: region)
+    monkeypatch.setattr(finetune, "final_rmse", lambda *_: torch.zeros(()))
+    config = override(TINY, **{"refine.temperature": 2.0})
+    finetune.score_final(None, None, config, 1.0, False, frames(scenes), 0, None)
+    assert torch.allclose(asked[0], 1 - (logits / 2).softmax(dim=1)[:, :1])
 
 
 @pytest.mark.parametrize("steps, batch", [(0, 1), (1, 0)])

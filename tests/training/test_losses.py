@@ -72,6 +72,15 @@ def test_class_boundary_by_hand():
     assert class_boundary(classes)[0].sum(0).tolist() == [0, 0, 5, 5, 0, 0]
 
 
+@pytest.mark.parametrize("beside", [0, 1, 2])
+def test_no_outline_runs_along_what_is_unknown(beside):
+    classes = torch.full((1, 5, 6), beside)
+    classes[:, :, 0] = IGNORE
+    assert not class_boundary(classes).any()
+    classes[0, 2, 4] = 2 - beside // 2
+    assert class_boundary(classes)[0].sum() == 9 and not class_boundary(classes)[0, :, 0].any()
+
+
 def test_targets_of_another_size_are_refused():
     with pytest.raises(ValueError, match="expected target_classes"):
         region_loss(perfect(torch.zeros(1, 4, 4, dtype=torch.int64)), torch.zeros(1, 4, 5, dtype=torch.int64))
