@@ -325,7 +325,7 @@ def _convert(value: Any, old: Any, kind: Any, key: str) -> Any:
         if isinstance(old, bool):
             return {"true": True, "1": True, "false": False, "0": False}[str(value).lower()]
         if isinstance(old, tuple):
-            parts = value.split(",") if isinstance(value, str) else value
+            parts = [p for p in value.split(",") if p] if isinstance(value, str) else value
             return tuple(_number(p, get_args(kind)[0]) for p in parts)  # as declared: the old one may be empty
         return _number(value, type(old))
     except (KeyError, TypeError, ValueError):

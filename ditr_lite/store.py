@@ -159,15 +159,23 @@ def load_part(name: str, folder: Path | str | None = None) -> dict[str, Tensor]:
     return {k: v.to(torch.float32) if v.is_floating_point() else v for k, v in tensors.items()}
 
 
-def copy_part(name: str, source: Path | str, folder: Path | str) -> None:
-    """Copy one part with its entry in the card into ``folder``, unless it is there already or ``source`` is it."""
+def copy_part(name: str, source: Path | str, folder: Path | str, config: Config | None = None) -> None:
+    """Copy one part with its entry in the card into ``folder``, unless it is there already or ``source`` is it.
+
+    Args:
+        name: of the part.
+        source: weights folder.
+        folder: for the copy.
+        config: of a folder that has no card yet; the source's by default.
+    """
     folder = Path(folder)
     if (folder / f"{name}.safetensors").is_file():
         return
     card = read_card(source)
     state = load_part(name, source)
-    config = read_config(folder if (folder / CARD).is_file() else source)
-    save_part(name, state, config, folder, card["parts"][name])
+    if (folder / CARD).is_file():
+        config = read_config(folder)
+    save_part(name, state, config or read_config(source), folder, card["parts"][name])
 
 
 def copy_weights(source: Path | str, folder: Path | str, config: Config | None = None) -> None:

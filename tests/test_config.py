@@ -71,6 +71,10 @@ def test_override_converts_text(key, text, value):
     assert node == value and type(node) is type(value)
 
 
+def test_override_empties_a_tuple():
+    assert config.override(config.preset("lite"), **{"unet.colour_channels": ""}).unet.colour_channels == ()
+
+
 def test_override_fills_an_empty_tuple():
     empty = config.preset("tiny")
     assert empty.unet.colour_channels == ()

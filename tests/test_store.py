@@ -68,6 +68,14 @@ def test_a_part_is_copied_with_its_entry_and_only_where_it_is_missing(tmp_path):
     assert "count" in load_part("encoder", tmp_path / "b")
 
 
+def test_a_folder_without_a_card_gets_the_settings_that_are_asked_for(tmp_path):
+    save_part("encoder", STATE, preset("lite"), tmp_path / "a", {})
+    store.copy_part("encoder", tmp_path / "a", tmp_path / "b", TINY)
+    assert store.read_config(tmp_path / "b") == TINY
+    store.copy_part("encoder", tmp_path / "a", tmp_path / "c")
+    assert store.read_config(tmp_path / "c") == preset("lite")
+
+
 def test_damaged_or_replaced_weights_are_refused(tmp_path):
     path = save_part("region", STATE, TINY, tmp_path, {})
     whole = path.read_bytes()

@@ -198,21 +198,18 @@ def fine_tune(options: Namespace, settings: dict[str, str]) -> None:
 
 def judgement(part: str, notes: dict) -> str:
     """Return in words what fine-tuning did to the frames that judge it."""
-    from ..evaluation.statistics import format_interval, mean_known, paired_bootstrap
+    from ..evaluation.statistics import format_interval, paired_bootstrap
 
     judged = notes["judged"]
     before, after = judged["before"], judged["after"]
-    if all(error is None for error in before):
-        return f"{part}: the held-out frames ask nothing of it; the weights stay as they were"
-    means = [mean_known(errors) for errors in (before, after)]
+    means = [sum(errors) / len(errors) for errors in (before, after)]
     difference = paired_bootstrap(after, before)
     said = "helped" if difference[2] < 0 else "harmed" if difference[1] > 0 else "made no measurable difference"
     kept = f"the fine-tuned weights of step {notes['best_step']} are kept"
     if judged["kept"] == "start":
         kept = "the weights of the start are kept"
-    frames = sum(error is not None for error in before)
     return (
-        f"{part}: error of {frames} held-out frames {means[0]:.4f} before, {means[1]:.4f} after, difference "
+        f"{part}: error of {len(before)} held-out frames {means[0]:.4f} before, {means[1]:.4f} after, difference "
         f"{format_interval(difference, 1, '+.4f')}: fine-tuning {said}; {kept}"
     )
 

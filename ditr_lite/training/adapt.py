@@ -47,16 +47,22 @@ LEAST = 3  # held-out frames: one chooses, two judge
 WATCHED = "held_out"
 
 
-def split_held_out(scenes: Scenes) -> tuple[Scenes, Scenes]:
+def split_held_out(scenes: Scenes, part: str, errors: np.ndarray | None = None) -> tuple[Scenes, Scenes]:
     """Return the held-out frames that say when to stop, every third, and those that judge the result, all others.
 
+    Args:
+        scenes: held out.
+        part: that is fine-tuned.
+        errors: what it gets wrong of each, (N,); a frame that asks nothing of it, NaN, neither chooses nor judges.
+
     Raises:
-        ValueError: for fewer than :data:`LEAST` frames.
+        ValueError: for fewer than :data:`LEAST` such frames.
     """
-    count = len(scenes)
-    if count < LEAST:
-        raise ValueError(f"fine-tuning needs at least {LEAST} held-out frames, got {count}: give more with --val")
-    (judges,), (chooses,) = hold_out([scenes])
+    asking = list(range(len(scenes))) if errors is None else np.flatnonzero(~np.isnan(errors)).tolist()
+    if len(asking) < LEAST:
+        got = f"{len(asking)} of {len(scenes)}: give more with --val"
+        raise ValueError(f"fine-tuning asks for {LEAST} held-out frames or more that concern {part!r}, got {got}")
+    (judges,), (chooses,) = hold_out([every(scenes, asking)])
     return chooses, judges
 
 
@@ -119,8 +125,8 @@ def adapt(
         every: steps between validations, each with a checkpoint.
 
     Returns:
-        the entry of the card. ``judged`` holds "before" and "after", the errors of the judging frames (None where a
-        frame asks nothing of this part), and "kept", which is "fine-tuned" or "start".
+        the entry of the card. ``judged`` holds "before" and "after", the errors of the judging frames, and "kept",
+        which is "fine-tuned" or "start". Frames that ask nothing of this part do not judge.
 
     Raises:
         ValueError: for another part, too few frames, a folder that must not be written into, or another system.
@@ -131,7 +137,7 @@ def adapt(
     check_same_system(config, start, NETWORKS)
     check_same_system(config, out)
     recipe = recipe or RECIPES[part]
-    chooses, judges = split_held_out(held_out)
+    split_held_out(held_out, part)  # too few are too few before anything is written
     if is_first() and not (Path(out) / "card.json").is_file():
         copy_weights(start, out, config)
     wait_for_all()
@@ -140,6 +146,7 @@ def adapt(
     model = parts[part].to(memory_format=torch.channels_last)
     errors = errors_of(part, parts, config, boundary)
     step, _ = assemble(part, parts, pool, None, config, recipe, boundary, seed)
+    chooses, judges = split_held_out(held_out, part, model_errors(model, errors, held_out))
     before = model_errors(model, errors, judges)
     remarks = {"start_sha256": read_card(start)["parts"][part]["sha256"]}
     below = [read_card(out)["parts"][name]["sha256"] for name in needs(part, config)]
@@ -151,7 +158,7 @@ def adapt(
         step,
         recipe,
         work,
-        lambda: {WATCHED: float(np.nanmean(errors(chooses)))},
+        lambda: {WATCHED: float(np.mean(errors(chooses)))},
         every=min(every, recipe.steps),
         seed=seed,
         key=key,
@@ -159,8 +166,8 @@ def adapt(
         best=WATCHED,
     )
     after = model_errors(model, errors, judges)
-    better = float(np.nanmean(after - before)) < 0
-    judged = {"before": _plain(before), "after": _plain(after), "kept": "fine-tuned" if better else "start"}
+    better = float(np.mean(after - before)) < 0
+    judged = {"before": before.tolist(), "after": after.tolist(), "kept": "fine-tuned" if better else "start"}
     notes |= {"command": command, "recipe": vars(recipe), "seed": seed, "judged": judged, **remarks}
     notes |= {"scenes": count_scenes(pool.groups)}
     state = model.state_dict() if better else load_part(part, start)
@@ -168,10 +175,6 @@ def adapt(
         save_part(part, state, config, out, notes)
     wait_for_all()
     return notes
-
-
-def _plain(errors: np.ndarray) -> list[float | None]:
-    return [None if np.isnan(e) else float(e) for e in errors]
 
 
 def model_errors(model: nn.Module, errors: Callable[[Scenes], np.ndarray], scenes: Scenes) -> np.ndarray:

@@ -182,7 +182,10 @@ def epoch_frames(
 
 
 def windows_in_order(scenes: Scenes, side: int, count: int = 8, backend: Backend | None = None) -> Iterator[Batch]:
-    """Yield a window of every scene that holds glass or metal, with its true region; the same ones every time."""
+    """Yield a window of every scene that holds glass or metal, with its true region as far off as training shows it.
+
+    The same ones every time; :func:`views.grow` says how far.
+    """
     rng = np.random.default_rng(1)
     glass = [i for i in range(len(scenes)) if (scenes.material[i] > 0).any()]
     for start in range(0, len(glass), count):

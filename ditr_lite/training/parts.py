@@ -16,7 +16,7 @@ from ..conditioning import fill
 from ..config import Config, from_dict, to_dict
 from ..metrics import iou
 from ..pipeline import build
-from ..region import region_probability
+from ..region import IGNORE, region_probability
 from ..stage_two import BRANCHES, Painter, cl
 from ..store import CARD, WEIGHTS, calibrated, copy_part, copy_weights, load_part, read_card, read_config, save_part
 from . import recipes
@@ -171,7 +171,7 @@ def train_on(
             # the other parts come along: what is trained on stays a whole system
             copy_weights(start, out, calibrated(config, read_config(start)))
         if PRETRAINED in needs(part, config):
-            copy_part(PRETRAINED, WEIGHTS, out)
+            copy_part(PRETRAINED, WEIGHTS, out, config)
     wait_for_all()
     parts = parts_with(part, config, out, seed)
     if start is not None:
@@ -281,11 +281,14 @@ def validate_region(model: nn.Module, config: Config, scenes: Scenes) -> dict[st
 
 @torch.no_grad()
 def claims_in_order(model: nn.Module, config: Config, scenes: Scenes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield what stage one claims of each scene, above 1/2 at its first look, and the true region, (H, W) bool each."""
+    """Yield what stage one claims of each scene, above 1/2 at its first look, and the true region, (H, W) bool each.
+
+    Nothing is claimed where nothing is known, as in the padding around a picture: the system drops such claims, too.
+    """
     for batch in frames_in_order(scenes, config.look()):
         given = batch.to(device_of(model))
         found = (region_probability(model(given.rgb, given.depth_n, given.valid))[:, 0] > 0.5).cpu()
-        yield from zip(found.numpy(), batch.region[:, 0].numpy() > 0, strict=True)
+        yield from zip((found & (batch.material != IGNORE)).numpy(), batch.region[:, 0].numpy() > 0, strict=True)
 
 
 def validate_autoencoder(model: nn.Module, config: Config, scenes: Scenes) -> dict[str, float]:

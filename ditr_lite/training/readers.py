@@ -157,13 +157,13 @@ class Rows:
         """Return the number of rows."""
         return len(self.index)
 
-    def __getitem__(self, i: int | slice) -> Any:
-        """Return one row, or the rows of a slice as :class:`Rows`.
+    def __getitem__(self, i: int | slice | np.ndarray) -> Any:
+        """Return one row, or those of a slice or of an array of places as :class:`Rows`.
 
         Raises:
             ValueError: for a row that is not as it was written.
         """
-        if isinstance(i, slice):
+        if isinstance(i, slice | np.ndarray):
             return Rows(self.array, self.checksums, self.index[i])
         place = self.index[i]
         row = np.asarray(self.array[place])

@@ -12,6 +12,7 @@ from tqdm.auto import tqdm
 
 from ..config import Config, to_dict
 from ..data import read_sample, sample_folders
+from ..region import IGNORE
 from ..store import fingerprint
 from ..units import depth_to_png
 from ..windows import fit_frame
@@ -102,6 +103,9 @@ def shrink(scenes: Scenes, size: tuple[int, int]) -> Scenes:
     """Return scenes at a working size, brought there as the system brings a frame there."""
     frame = fit_frame(scenes.depth.shape[1:], size)
     small = {name: np.stack([frame.into(image) for image in getattr(scenes, name)]) for name in MAPS}
+    metres = (depth.astype(np.float32) / 1000 for depth in scenes.depth)  # as floats, sparse readings are pooled
+    small["depth"] = np.stack([depth_to_png(frame.into(depth)) for depth in metres])
+    small["material"][:, ~frame.picture] = IGNORE
     return Scenes(names=scenes.names, **small)
 
 
@@ -113,16 +117,20 @@ def first(scenes: Scenes, count: int | None) -> Scenes:
 
 def join(groups: Sequence[Scenes], size: tuple[int, int]) -> Scenes:
     """Return groups as one, brought to a working size where their sizes differ."""
+    if len(groups) == 1:
+        return groups[0]
     if len({group.depth.shape[1:] for group in groups}) > 1:
         groups = [shrink(group, size) for group in groups]
-    maps = {name: np.concatenate([getattr(every(g, range(len(g))), name) for g in groups]) for name in MAPS}
+    maps = {name: np.concatenate([np.stack([*getattr(g, name)]) for g in groups]) for name in MAPS}
     return Scenes(names=[name for group in groups for name in group.names], **maps)
 
 
 def every(scenes: Scenes, places: Sequence[int]) -> Scenes:
-    """Return the scenes at these places."""
-    some = {name: np.stack([getattr(scenes, name)[i] for i in places]) for name in MAPS}
-    return Scenes(names=[scenes.names[i] for i in places], **some)
+    """Return the scenes at these places; what is not in memory stays on disk."""
+    places = np.asarray(places, dtype=int)
+    some = {name: getattr(scenes, name)[places] for name in MAPS}
+    key = f"{scenes.key} {places.tolist()}" if scenes.key else ""
+    return Scenes(names=[scenes.names[i] for i in places], **some, key=key)
 
 
 def checksum(*groups: Scenes) -> str:

@@ -53,15 +53,27 @@ def test_what_helps_is_kept_and_judged_by_frames_that_chose_nothing(start, tmp_p
 
 def test_other_frames_judge_than_those_that_say_when_to_stop(start, tmp_path, monkeypatch):
     held_out, asked = own(7, 7), []
-    chooses, judges = split_held_out(held_out)
+    chooses, judges = split_held_out(held_out, "region")
 
     def errors_of(*_):
         return lambda scenes: asked.append(scenes.depth.tobytes()) or np.zeros(len(scenes))
 
     monkeypatch.setattr(module, "errors_of", errors_of)
     go("region", start, tmp_path, SHORT, held_out)
-    first, *between, last = asked
+    every_one, first, *between, last = asked
+    assert every_one == held_out.depth.tobytes()
     assert first == last == judges.depth.tobytes() and set(between) == {chooses.depth.tobytes()}
+
+
+def test_frames_that_ask_nothing_neither_choose_nor_judge(start, tmp_path):
+    held_out = own(6, 7)
+    held_out.material[[0, 3]] = 0  # both would choose
+    notes = go("optical", start, tmp_path / "a", SHORT, held_out)
+    assert len(notes["judged"]["before"]) == 2 and np.isfinite(notes["judged"]["before"]).all()
+    assert np.isfinite([row["held_out"] for row in notes["curve"]]).all()
+    held_out.material[1:3] = 0
+    with pytest.raises(ValueError, match="3 held-out frames or more that concern 'optical', got 2 of 6"):
+        go("optical", start, tmp_path / "b", SHORT, held_out)
 
 
 @pytest.mark.parametrize("part", ["optical", "detail"])
@@ -85,14 +97,14 @@ def test_the_weights_to_start_from_and_the_packages_own_are_never_replaced(start
             check_out(out, start)
     with pytest.raises(ValueError, match="cannot fine-tune 'autoencoder': choose one of region"):
         go("autoencoder", start, tmp_path, SHORT)
-    with pytest.raises(ValueError, match="at least 3 held-out frames, got 2"):
+    with pytest.raises(ValueError, match="3 held-out frames or more that concern 'region', got 2 of 2"):
         go("region", start, tmp_path, SHORT, own(2))
     assert not (tmp_path / "out").exists()
 
 
 def test_frames_that_choose_frames_that_judge_and_frames_to_learn_from_are_apart():
     scenes = own(7)
-    chooses, judges = split_held_out(scenes)
+    chooses, judges = split_held_out(scenes, "region")
     (learns,), (held_out,) = hold_out([scenes])
     for one, other in ((chooses, judges), (learns, held_out)):
         assert sorted([*one.names, *other.names]) == sorted(scenes.names)

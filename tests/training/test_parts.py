@@ -10,8 +10,10 @@ from made_scenes import make_scenes
 import ditr_lite as dl
 from ditr_lite.config import Config, StdConfig, override, preset
 from ditr_lite.data import SAMPLES, Sample, read_sample, save_sample
+from ditr_lite.region import IGNORE
 from ditr_lite.store import copy_weights, load_part, read_card, read_config
 from ditr_lite.training import parts as module
+from ditr_lite.training.batches import frames_in_order
 from ditr_lite.training.loop import Recipe
 from ditr_lite.training.parts import (
     PARTS,
@@ -226,8 +228,11 @@ def test_stage_one_is_validated_at_its_first_look(data):
 
     pairs = list(claims_in_order(Claiming(), override(TINY, **{"refine.looks": (1.5,)}), scenes))
     assert sizes == {(96, 144)} and len(pairs) == len(scenes)
-    for claimed, true in pairs:
-        assert claimed[:, 72:].all() and not claimed[:, :72].any() and true.shape == (96, 144) and true.any()
+    [batch] = frames_in_order(scenes, (96, 144))
+    for (claimed, true), picture in zip(pairs, (batch.material != IGNORE).numpy(), strict=True):
+        assert not picture.all()  # in the padding nothing is claimed, as in the system
+        assert (claimed[:, 72:] == picture[:, 72:]).all() and not claimed[:, :72].any()
+        assert true.shape == (96, 144) and true.any()
 
 
 @pytest.mark.parametrize(("branch", "due"), [("optical", 0.01), ("geometric", 0.0)])

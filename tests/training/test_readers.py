@@ -16,7 +16,7 @@ from ditr_lite.datasets.export import WRITERS, export
 from ditr_lite.region import IGNORE
 from ditr_lite.training import readers
 from ditr_lite.training.readers import RealFrames, stored_size
-from ditr_lite.training.scenes import MAPS, checksum, every, load_scenes
+from ditr_lite.training.scenes import MAPS, Scenes, checksum, every, join, load_scenes
 
 TINY = preset("tiny")
 NAMES = dl.list_samples("val")[:3]
@@ -100,14 +100,25 @@ def test_frames_are_decoded_again_when_any_of_their_files_changes(exported, tmp_
     assert len(set(kept)) == len(kept)
 
 
+def in_memory(scenes):
+    return Scenes(names=scenes.names, **{name: np.stack([*getattr(scenes, name)]) for name in MAPS})
+
+
+def test_frames_that_are_chosen_stay_on_disk(exported, tmp_path):
+    [group] = RealFrames("folder", exported / "folder", cache=tmp_path).scenes("optical", TINY, None)
+    some = every(group, [0, 2])
+    assert all(isinstance(getattr(some, name), readers.Rows) for name in MAPS)
+    assert some.names == [group.names[0], group.names[2]] and np.array_equal(some.depth[1], group.depth[2])
+    assert len({checksum(some), checksum(every(group, [0, 1])), checksum(group)}) == 3
+    assert join([some], TINY.size) is some
+
+
 def test_rows_are_sent_to_another_process_by_their_place(exported, tmp_path):
     [group] = RealFrames("folder", exported / "folder", cache=tmp_path).scenes("optical", TINY, None)
     sent = pickle.dumps(group)
     assert len(sent) < 10_000 < group.depth.array.nbytes
     again = pickle.loads(sent)
-    assert (
-        checksum(every(again, range(3))) == checksum(every(group, range(3))) and not again.depth.array.flags.writeable
-    )
+    assert checksum(in_memory(again)) == checksum(in_memory(group)) and not again.depth.array.flags.writeable
     assert np.array_equal(pickle.loads(pickle.dumps(group.rgb[1:]))[0], group.rgb[1])
     [folder] = tmp_path.iterdir()
     depth = folder / "0_depth.bin"
@@ -119,7 +130,7 @@ def test_rows_are_sent_to_another_process_by_their_place(exported, tmp_path):
 def test_damaged_frames_are_noticed_and_a_spoilt_folder_is_made_again(exported, tmp_path):
     frames = RealFrames("folder", exported / "folder", cache=tmp_path)
     [whole] = frames.scenes("optical", TINY, None)
-    wanted = every(whole, range(3))
+    wanted = in_memory(whole)
     [folder] = tmp_path.iterdir()
     depth, description = folder / "0_depth.bin", folder / "frames.json"
     data = bytearray(depth.read_bytes())
@@ -138,7 +149,7 @@ def test_damaged_frames_are_noticed_and_a_spoilt_folder_is_made_again(exported, 
     ):
         file.write_bytes(damage)
         [again] = frames.scenes("optical", TINY, None)
-        assert checksum(every(again, range(3))) == checksum(wanted)
+        assert checksum(in_memory(again)) == checksum(wanted)
 
 
 def test_zeroed_regions_have_no_reading_and_all_else_stays(exported, tmp_path):

@@ -7,8 +7,11 @@ from made_scenes import make_scenes
 
 from ditr_lite.config import override, preset
 from ditr_lite.data import SAMPLES, read_sample, save_sample
+from ditr_lite.region import IGNORE
 from ditr_lite.training import scenes as module
 from ditr_lite.training.scenes import MAPS, Pool, checkpoint_key, checksum, first, load_scenes, shrink
+from ditr_lite.units import depth_to_png
+from ditr_lite.windows import fit_frame
 
 VAL = SAMPLES / "val"
 
@@ -80,6 +83,16 @@ def test_scenes_shrink_map_by_map():
     for key in MAPS:
         assert getattr(small, key).shape[:3] == (3, 24, 32) and getattr(small, key).dtype == getattr(scenes, key).dtype
     assert set(np.unique(small.instances)) == {0, 1, 2}
+
+
+def test_scenes_shrink_as_the_system_brings_a_frame_there():
+    scenes = make_scenes(2, (48, 80))
+    scenes.depth[np.random.default_rng(0).random(scenes.depth.shape) < 0.7] = 0
+    small, frame = shrink(scenes, (24, 32)), fit_frame((48, 80), (24, 32))
+    for depth, found in zip(scenes.depth, small.depth, strict=True):
+        assert np.array_equal(found, depth_to_png(frame.into(depth.astype(np.float32) / 1000)))
+    assert (small.depth[:, frame.picture] > 0).mean() > 0.7  # a cell holds six pixels
+    assert (small.material[:, ~frame.picture] == IGNORE).all() and (small.material[:, frame.picture] < 3).all()
 
 
 def test_a_pool_draws_its_groups_by_their_shares():
