@@ -142,7 +142,10 @@ def load_part(name: str, folder: Path | str | None = None) -> dict[str, Tensor]:
     folder = Path(folder or WEIGHTS)
     card, path = read_card(folder), folder / f"{name}.safetensors"
     if name not in card["parts"] or not path.is_file():
-        raise ValueError(f"no weights called {name!r} in {folder}; train them with `make train`")
+        raise ValueError(
+            f"no weights called {name!r} in {folder}; train them with `make train`, or copy "
+            f"the shipped ones there: store.copy_part({name!r}, store.WEIGHTS, {str(folder)!r})"
+        )
     if sha256(path) != card["parts"][name]["sha256"]:
         raise ValueError(f"{path} does not match its checksum in {CARD}: it is damaged or was replaced; restore it")
     for other, checksum in card["parts"][name].get("built_on", {}).items():

@@ -44,12 +44,12 @@ def main() -> None:
         frames = compare.frames_of(ditr, compare.frames_of_file(args.real))
         blind = {name: row for name, row in rows.items() if name not in compare.NEED_TRUTH}
         report["real"] = compare.score_rows(blind, frames, args.peers / "scores" / "real", compare.score_real)
-    print(peer_tables.format_study(report))
     asked = ["--split", *args.split]  # what decides the figures; where files lie does not
     asked += ["--limit", args.limit] if args.limit else []
     asked += ["--real", args.real.name] if args.real else []
     top = results.head(results.tool_command("peer_study", asked))
     results.write(args.json, top, report)
+    print(peer_tables.format_study(report))
 
 
 if __name__ == "__main__":

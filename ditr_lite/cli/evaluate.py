@@ -10,6 +10,7 @@ from typing import Any
 from .shared import (
     SPLITS,
     First,
+    add_depth_scale,
     add_system,
     add_weights,
     check_target,
@@ -34,11 +35,6 @@ class Evaluate:
         p.add_argument(
             "--protocol", choices=PROTOCOLS, help="also score as that code does (cleargrasp's dataset: cleargrasp)"
         )
-        p.add_argument(
-            "--depth-scale",
-            type=real(0, float("inf"), "metres per unit"),
-            help="of --dataset folder: metres per unit (default: 0.001 of whole numbers, 1 of floats)",
-        )
         p.add_argument("--skip-bad", action="store_true", help="leave out frames that cannot be used, and report them")
         add_scoring(p)
 
@@ -46,8 +42,6 @@ class Evaluate:
     def run(options: Namespace) -> int:
         """Print the tables and return the exit code: 3 where frames were left out."""
         check_results(options.json)
-        if options.depth_scale is not None and options.dataset != "folder":
-            raise ValueError("--depth-scale is of --dataset folder; the units of other datasets are known")
         source, frames = chosen_frames(options)
         if options.skip_bad:
             frames = Usable(frames, options.given_region)
@@ -311,6 +305,7 @@ def add_frames(p: ArgumentParser) -> None:
     p.add_argument("--dataset", choices=DATASETS, help="a real dataset instead of the rendered scenes")
     p.add_argument("--root", type=Path, help="the folder that holds the dataset (or other rendered scenes)")
     p.add_argument("--split", help=f"of the scenes: {', '.join(SPLITS)} (default test); of a dataset: its own")
+    add_depth_scale(p)
 
 
 def add_scenes(p: ArgumentParser) -> None:
@@ -337,16 +332,18 @@ def notes(source: str, options: Namespace) -> dict[str, Any]:
 def chosen_frames(options: Namespace) -> tuple[str, First]:
     """Return what to call the frames and the frames themselves; refuse those that cannot be scored."""
     if getattr(options, "dataset", None) is None:
+        if getattr(options, "depth_scale", None) is not None:
+            raise ValueError("--depth-scale is of --dataset folder")
         split = options.split or "test"
         return f"{split} split", scenes_of(split, options.root, options.limit)
     from ..datasets import REGISTRY
+    from ..training.readers import scale_of
 
     if options.dataset not in REGISTRY:
         raise ValueError(f"unknown dataset {options.dataset!r}; choose one of {', '.join(REGISTRY)}")
     if options.root is None:
         raise ValueError(f"--dataset {options.dataset} needs --root DIR, the folder that holds it")
-    scale = {} if getattr(options, "depth_scale", None) is None else {"depth_scale": options.depth_scale}
-    dataset = REGISTRY[options.dataset](options.root, options.split, **scale)
+    dataset = REGISTRY[options.dataset](options.root, options.split, **scale_of(options.dataset, options.depth_scale))
     frames = First(dataset.names, dataset.__getitem__, options.limit)
     if not options.skip_bad and frames[0].depth_gt is None:
         raise ValueError(

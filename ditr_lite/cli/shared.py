@@ -9,6 +9,7 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterator, Sequence
 from glob import glob
 from pathlib import Path
+from tempfile import TemporaryFile
 
 SPLITS = (
     "train",
@@ -73,6 +74,15 @@ def kernels(text: str) -> tuple[int, int, int]:
     if even or max(median, dilate) > 99 or iterations > 99:
         raise ArgumentTypeError(f"expected odd kernels (or 0 for none) and numbers below 100, got {text!r}")
     return median, dilate, iterations
+
+
+def add_depth_scale(parser: ArgumentParser) -> None:
+    """Add the argument that says the unit of depth in a folder of one's own."""
+    parser.add_argument(
+        "--depth-scale",
+        type=real(0, float("inf"), "metres per unit"),
+        help="of --dataset folder: metres per unit of depth (default: 0.001 of whole numbers, 1 of floats)",
+    )
 
 
 def add_system(parser: ArgumentParser) -> None:
@@ -155,6 +165,12 @@ def check_target(path: Path | None, *suffixes: str) -> None:
         raise ValueError(f"cannot write {path}: it is a folder")
     if blocked := [p for p in path.parents if p.exists() and not p.is_dir()]:
         raise ValueError(f"cannot write {path}: {blocked[0]} is a file, not a folder")
+    there = next(p for p in path.absolute().parents if p.exists())
+    try:
+        with TemporaryFile(dir=there):
+            pass
+    except OSError as error:
+        raise ValueError(f"cannot write {path}: {there} takes no new file ({error.strerror})") from None
 
 
 def check_distinct(outputs: dict[str, Path | None], inputs: dict[str, Path | None]) -> None:

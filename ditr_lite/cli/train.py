@@ -12,6 +12,7 @@ from .shared import (
     MAKE_TRAIN,
     MAKE_VAL,
     MAX_SEED,
+    add_depth_scale,
     check_folder,
     check_scenes,
     command_line,
@@ -222,12 +223,15 @@ def own_frames(options: Namespace, part: str, config):
 
     real = real_frames(options)
     if real is None and not options.data:
-        raise ValueError("--start needs frames of your own: --data DIR, or --dataset NAME --root DIR")
+        raise ValueError(
+            "--start needs frames to learn from: --dataset NAME --root DIR (of your own: --dataset folder), or "
+            "--data DIR with rendered scenes"
+        )
     own = [load_scenes(folder, options.limit) for folder in options.data or []]
     own += real.scenes(part, config, real.split) if real else []
     if options.val:
         held_out = [load_scenes(folder) for folder in options.val]
-    elif real and real.val_split:
+    elif real and (real.val_split or real.val_root):
         held_out = list(real.held_out(part, config).values())
     else:
         own, held_out = hold_out(own)
@@ -239,7 +243,7 @@ def own_frames(options: Namespace, part: str, config):
 def real_frames(options: Namespace):
     """Return the frames of a dataset that the command line names, or None."""
     if options.dataset is None:
-        of_datasets = ["root", "split", "val_split", "zero_region"]
+        of_datasets = ["root", "split", "val_split", "val_root", "depth_scale", "zero_region"]
         if options.start is None:  # in fine-tuning the share is that of the shipped scenes
             of_datasets.append("scene_share")
         if given := [k for k in of_datasets if getattr(options, k)]:
@@ -252,8 +256,8 @@ def real_frames(options: Namespace):
     share = options.scene_share
     if share is None:
         share = 0.5 if options.data and options.start is None else 0.0
-    how = {"zero_region": options.zero_region, "limit": options.limit, "scene_share": share}
-    return RealFrames(options.dataset, options.root, options.split, options.val_split, **how)
+    how = {key: getattr(options, key) for key in ("val_split", "val_root", "depth_scale", "zero_region", "limit")}
+    return RealFrames(options.dataset, options.root, options.split, scene_share=share, **how)
 
 
 def check_replaced(out: Path, parts: list[str], command: str) -> None:
@@ -348,6 +352,8 @@ def add_dataset(p: ArgumentParser) -> None:
     p.add_argument("--root", type=Path, help="the folder that holds the dataset")
     p.add_argument("--split", help="of the dataset, to train on (default: all of it)")
     p.add_argument("--val-split", help="of the dataset, to validate on besides the scenes")
+    p.add_argument("--val-root", type=Path, help="another folder of the same layout, to validate on besides the scenes")
+    add_depth_scale(p)
     p.add_argument(
         "--scene-share",
         type=real(0, 1, "a share", closed=True),

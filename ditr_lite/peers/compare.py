@@ -32,6 +32,7 @@ from . import system
 NEED_TRUTH = (  # rows that cannot be asked about a frame without truth
     *("true region", "truth through the autoencoder", "equal time, true region", "truth at the working size"),
 )
+NEEDED = ("ditr", "dp", "bb", "regression")  # arms that the tables and verdicts set others beside
 MOVED_M = 0.02  # a reading that moved by more was thrown away
 Row = dict[str, float | None]
 
@@ -62,11 +63,12 @@ def methods(ditr: Ditr, folder: Path | str) -> dict[str, tuple[Method, str]]:
         folder: weights of the arms, as ``tools/train_peers.py`` writes them.
 
     Raises:
-        ValueError: when DITR has not been trained there: everything is compared with it.
+        ValueError: when one of :data:`NEEDED` has not been trained there.
     """
     arms = system.trained(folder)
-    if "ditr" not in arms:
-        raise ValueError(f"{folder} holds no trained 'ditr': run `python tools/train_peers.py` first")
+    if missing := [arm for arm in NEEDED if arm not in arms]:
+        asked = f"run `python tools/train_peers.py {' '.join(missing)}` first"
+        raise ValueError(f"{folder} holds no trained {missing[0]!r}, with which all others are compared: {asked}")
     settings = json.dumps(to_dict(replace(ditr.config, std=StdConfig())), sort_keys=True)  # std moves no depth
     shipped = _key(settings, *(part["sha256"] for part in read_card()["parts"].values()))
     stage_one = _key(settings, read_card()["parts"]["region"]["sha256"])

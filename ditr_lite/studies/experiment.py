@@ -6,7 +6,9 @@ system trained for minutes says which way a change points, not how good the ship
 """
 
 import hashlib
+import inspect
 import json
+import os
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -26,6 +28,7 @@ from ..store import CARD, load_part, read_card, save_part
 from ..training.loop import Recipe
 from ..training.parts import PARTS, check_same_system, folder_name, train_on
 from ..training.scenes import Scenes, checksum, load_scenes
+from ..unet import BLOCKS
 
 SCORED = ("optical", "geometric")  # Table V's two kinds of loss
 QUICK = {
@@ -327,12 +330,19 @@ def decisive_files() -> list[Path]:
 
 
 def _key(config: Config, scenes: Sequence[Scenes], recipes: Mapping[str, Recipe], *others: Any) -> str:
-    """Return a checksum of all that an arm depends on: sizes, recipes, pictures, and the code that trains it."""
+    """Return a checksum of all that an arm depends on: sizes, recipes, pictures, and the code that trains it.
+
+    A block of the reader's own (``unet.BLOCKS``) is code as well; where its source cannot be read, nothing is kept.
+    """
     rates = {part: asdict(r) for part, r in recipes.items()}
     plain = [to_dict(config), rates, checksum(*scenes), others, torch.__version__]
     digest = hashlib.sha256(json.dumps(plain).encode())
     for source in decisive_files():
         digest.update(source.read_bytes())
+    try:
+        digest.update(inspect.getsource(BLOCKS[config.unet.block]).encode())
+    except (OSError, TypeError):
+        digest.update(os.urandom(16))
     return digest.hexdigest()
 
 

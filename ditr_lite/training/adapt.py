@@ -60,7 +60,7 @@ def split_held_out(scenes: Scenes, part: str, errors: np.ndarray | None = None) 
     """
     asking = list(range(len(scenes))) if errors is None else np.flatnonzero(~np.isnan(errors)).tolist()
     if len(asking) < LEAST:
-        got = f"{len(asking)} of {len(scenes)}: give more with --val"
+        got = f"{len(asking)} of {len(scenes)}: give more with --val-root"
         raise ValueError(f"fine-tuning asks for {LEAST} held-out frames or more that concern {part!r}, got {got}")
     (judges,), (chooses,) = hold_out([every(scenes, asking)])
     return chooses, judges

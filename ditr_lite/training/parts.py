@@ -1,6 +1,7 @@
 """Train one part from start to shipped file: load scenes, run its recipe, validate, save weights and card."""
 
 import json
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
@@ -170,8 +171,7 @@ def train_on(
         if start is not None and not (Path(out) / CARD).is_file():
             # the other parts come along: what is trained on stays a whole system
             copy_weights(start, out, calibrated(config, read_config(start)))
-        if PRETRAINED in needs(part, config):
-            copy_part(PRETRAINED, WEIGHTS, out, config)
+        borrow(part, config, out)
     wait_for_all()
     parts = parts_with(part, config, out, seed)
     if start is not None:
@@ -192,6 +192,26 @@ def train_on(
         save_part(part, model.state_dict(), config, out, notes)
     wait_for_all()
     return notes
+
+
+def borrow(part: str, config: Config, out: Path | str) -> None:
+    """Copy what a part builds on from the shipped weights, where the folder lacks it and their sizes are the same.
+
+    The pretrained encoder of colour comes with the package whatever the sizes are.
+    """
+    try:
+        check_same_system(config, WEIGHTS, NETWORKS)
+        fits = True
+    except ValueError:
+        fits = False
+    for name in needs(part, config):
+        if name == PRETRAINED:
+            copy_part(name, WEIGHTS, out, config)
+        elif fits and not (Path(out) / f"{name}.safetensors").is_file():
+            warnings.warn(
+                f"{out} has no {name}: the shipped one is copied there, for {part} builds on it", stacklevel=2
+            )
+            copy_part(name, WEIGHTS, out, config)
 
 
 def parts_with(part: str, config: Config, out: Path | str, seed: int) -> nn.ModuleDict:

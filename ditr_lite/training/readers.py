@@ -46,28 +46,33 @@ class RealFrames:
         name: of the reader, a key of ``datasets.REGISTRY``.
         root: folder of the dataset.
         split: to train on; None takes all.
-        val_split: to validate on besides the rendered scenes; None for none.
+        val_split: to validate on besides the rendered scenes; None for none, or all of ``val_root``.
+        val_root: folder of the same layout that holds the frames to validate on; None for ``root``.
         scene_share: of the draws that come from rendered scenes, 0 to 1.
         zero_region: set the readings inside the region to zero (Paper: Sec. V-C).
         limit: use only the first frames.
+        depth_scale: metres per unit of depth, of the reader "folder" alone; None as that reads it.
         cache: folder for the decoded frames.
 
     Raises:
-        ValueError: for an unknown reader, or a share that is none.
+        ValueError: for an unknown reader, a scale of one that knows its unit, or a share that is none.
     """
 
     name: str
     root: Path
     split: str | None = None
     val_split: str | None = None
+    val_root: Path | None = None
     scene_share: float = 0.0
     zero_region: bool = False
     limit: int | None = None
+    depth_scale: float | None = None
     cache: Path = CACHE
 
     def __post_init__(self) -> None:
         if self.name not in REGISTRY:
             raise ValueError(f"unknown dataset {self.name!r}; choose one of {', '.join(REGISTRY)}")
+        scale_of(self.name, self.depth_scale)
         if not 0 <= self.scene_share <= 1:
             raise ValueError(f"expected a share of rendered scenes from 0 to 1, got {self.scene_share}")
 
@@ -84,26 +89,41 @@ class RealFrames:
         return Pool([*real, *rendered], shares)
 
     def held_out(self, part: str, config: Config) -> dict[str, Scenes]:
-        """Return name -> frames to validate on, none where there is no split for it."""
-        if self.val_split is None:
+        """Return name -> frames to validate on, none where neither a split nor a folder is named for it."""
+        if self.val_split is None and self.val_root is None:
             return {}
-        groups = self.scenes(part, config, self.val_split)
-        return {f"{self.name}_{self.val_split}{k or ''}": group for k, group in enumerate(groups)}
+        root = Path(self.val_root or self.root)
+        groups = self.scenes(part, config, self.val_split, root)
+        return {f"{self.name}_{self.val_split or root.name}{k or ''}": group for k, group in enumerate(groups)}
 
-    def scenes(self, part: str, config: Config, split: str | None) -> list[Scenes]:
+    def scenes(self, part: str, config: Config, split: str | None, root: Path | None = None) -> list[Scenes]:
         """Return the frames of a split that can teach ``part``, a group for each size of frame.
 
         Raises:
             ValueError: where none can.
         """
-        reader = REGISTRY[self.name](self.root, split)
+        root = root or self.root
+        reader = REGISTRY[self.name](root, split, **scale_of(self.name, self.depth_scale))
         groups = [_rows_for(part, group) for group in kept(reader, self, config.size)]
         if not (groups := [group for group in groups if len(group)]):
             raise ValueError(
-                f"no frame of {self.name} in {self.root} teaches {part!r}: it needs {_needed(part)}; "
+                f"no frame of {self.name} in {root} teaches {part!r}: it needs {_needed(part)}; "
                 f"{type(reader).__name__}: {reader.protocol or 'see its reader'}"
             )
         return groups
+
+
+def scale_of(name: str, depth_scale: float | None) -> dict[str, float]:
+    """Return what a reader is told of the unit of depth, nothing where nothing is said.
+
+    Raises:
+        ValueError: for a scale of a dataset whose unit is known.
+    """
+    if depth_scale is None:
+        return {}
+    if name != "folder":
+        raise ValueError(f"--depth-scale is of --dataset folder; the unit of {name} is known")
+    return {"depth_scale": depth_scale}
 
 
 def _needed(part: str) -> str:
@@ -190,7 +210,7 @@ def kept(reader: FrameFolder, how: RealFrames, size: tuple[int, int]) -> list[Ke
 
     Args:
         reader: of a split.
-        how: name, limit and whether readings inside the region are zeroed.
+        how: name, limit, unit and whether readings inside the region are zeroed.
         size: (H, W) of the system.
 
     Raises:
@@ -198,7 +218,7 @@ def kept(reader: FrameFolder, how: RealFrames, size: tuple[int, int]) -> list[Ke
     """
     names = reader.names[: how.limit]
     stats = [list(map(_stat, paths)) for paths in reader.files(names)]
-    plain = json.dumps([how.name, names, stats, how.zero_region, size])
+    plain = json.dumps([how.name, names, stats, how.zero_region, size, *scale_of(how.name, how.depth_scale).values()])
     key = hashlib.sha256(plain.encode()).hexdigest()[:16]
     folder = Path(how.cache) / f"{how.name}-{key}"
     if is_first() and _described(folder) is None:

@@ -83,7 +83,10 @@ def load_scenes(folder: Path | str, limit: int | None = None) -> Scenes:
     folder = Path(folder)
     paths = sample_folders(folder)[:limit]
     if not paths:
-        raise ValueError(f"no scenes in {folder}: make them with `make samples` or `python -m ditr_lite simulate`")
+        raise ValueError(
+            f"no scenes in {folder}: make them with `make samples` or `python -m ditr_lite simulate`; frames of a "
+            "dataset or of your own are given by --dataset, --root and --val-root"
+        )
     samples = [read_sample(p) for p in tqdm(paths, desc="reading scenes", unit="scene", leave=False)]
     for s in samples:
         missing = [name for name in ("depth_gt", "material", "instances") if getattr(s, name) is None]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ditr_lite import data, files, store
-from ditr_lite.cli import main, parser
+from ditr_lite.cli import main, parser, shared
 from ditr_lite.cli.evaluate import DATASETS
 from ditr_lite.cli.train import folders
 from ditr_lite.evaluation import timing
@@ -443,3 +443,14 @@ def test_readme_shows_the_cost_of_a_training_on_scenes_that_are_shipped(monkeypa
     monkeypatch.chdir(ROOT)
     data, _ = folders(parser().parse_args(shlex.split(line, comments=True)[3:]))
     assert all(folder.resolve().is_relative_to(ROOT / "data_samples") for folder in data)
+
+
+def test_a_place_that_takes_no_file_is_refused_before_any_work(tmp_path, monkeypatch):
+    def refuse(dir):
+        raise PermissionError(13, "Permission denied")
+
+    shared.check_target(tmp_path / "new" / "a.json", ".json")
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(shared, "TemporaryFile", refuse)
+    with pytest.raises(ValueError, match=f"cannot write .*a.json: {tmp_path} takes no new file .Permission denied."):
+        shared.check_target(tmp_path / "new" / "a.json", ".json")

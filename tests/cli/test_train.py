@@ -100,7 +100,7 @@ def test_fine_tuning_says_what_it_did_and_needs_a_place_of_its_own(weights, scen
     assert re.search("fine-tuning (helped|harmed|made no measurable difference); the", printed)
     assert (weights / "region.safetensors").read_bytes() == before
     assert set(store.read_card(tmp_path / "out")["parts"]) == set(store.read_card(weights)["parts"])
-    assert "needs frames of your own" in refused([*argv[:5], "--out", str(tmp_path / "x")], capsys)
+    assert "needs frames to learn from" in refused([*argv[:5], "--out", str(tmp_path / "x")], capsys)
 
 
 def test_a_part_that_is_not_fine_tuned_is_refused_before_frames_are_read(
@@ -203,3 +203,11 @@ def test_two_weights_folders_are_compared_on_the_same_frames(weights, scenes, tm
 def test_a_lower_error_after_fine_tuning_is_called_a_help(after, word):
     judged = {"before": [0.3, 0.4, 0.5], "after": list(after), "kept": "tuned"}
     assert word in judgement("optical", {"judged": judged, "best_step": 3})
+
+
+def test_unit_and_place_of_a_dataset_need_a_dataset(weights, scenes, capsys):
+    argv = ["train", "--data", str(scenes / "val"), "--val", str(scenes / "test"), "--part", "region", "--steps", "1"]
+    assert "--depth-scale is of --dataset NAME" in refused([*argv, "--depth-scale", "0.1"], capsys)
+    assert "--val-root is of --dataset NAME" in refused([*argv, "--val-root", "x"], capsys)
+    both = ["compare", str(weights), str(weights)]
+    assert "--depth-scale is of --dataset folder" in refused([*both, "--depth-scale", "0.1"], capsys)

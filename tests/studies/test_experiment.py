@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import ditr_lite
-from ditr_lite.config import preset
+from ditr_lite.config import override, preset
 from ditr_lite.data import SAMPLES
 from ditr_lite.store import load_part, read_card
 from ditr_lite.studies import experiment
@@ -250,3 +250,23 @@ def test_seeds_by_hand(monkeypatch):
 def test_seeds_that_cannot_be_are_refused(seeds, out):
     with pytest.raises(ValueError, match="at least one seed"):
         experiment.compare_over_seeds({"unet.heads": 1}, seeds, out=out)
+
+
+class Mine(torch.nn.Module):
+    pass
+
+
+class Other(torch.nn.Module):
+    depth = 2
+
+
+def test_a_block_of_the_readers_own_is_code_that_decides(monkeypatch):
+    config = override(preset("tiny"), **{"unet.block": "mine"})
+
+    def key(block):
+        monkeypatch.setitem(experiment.BLOCKS, "mine", block)
+        return experiment._key(config, [], {})
+
+    assert key(Mine) == key(Mine) != key(Other)
+    typed = type("Typed", (torch.nn.Module,), {"__module__": "nowhere"})  # as in a session whose text is gone
+    assert key(typed) != key(typed)

@@ -17,6 +17,7 @@ from ditr_lite.training.batches import frames_in_order
 from ditr_lite.training.loop import Recipe
 from ditr_lite.training.parts import (
     PARTS,
+    borrow,
     check_same_system,
     claims_in_order,
     count_scenes,
@@ -211,6 +212,16 @@ def test_parts_need_those_that_they_build_on():
     assert needs("detail", TINY) == ["autoencoder", "optical", "geometric"] and needs("region", TINY) == []
     assert needs("region", lite) == ["encoder"] and needs("optical", lite) == ["autoencoder", "encoder"]
     assert needs("autoencoder", lite) == []
+
+
+def test_what_a_part_builds_on_is_borrowed_where_the_shipped_one_fits(tmp_path):
+    with pytest.warns(UserWarning, match="has no autoencoder: the shipped one is copied there"):
+        borrow("optical", preset("lite"), tmp_path / "a")
+    assert set(read_card(tmp_path / "a")["parts"]) == {"autoencoder", "encoder"}
+    borrow("optical", preset("lite"), tmp_path / "a")  # a second time nothing is missing
+    borrow("optical", TINY, tmp_path / "b")
+    borrow("optical", override(preset("lite"), **{"unet.width": 16}), tmp_path / "c")
+    assert not (tmp_path / "b").exists() and set(read_card(tmp_path / "c")["parts"]) == {"encoder"}
 
 
 def test_stage_one_is_validated_at_its_first_look(data):

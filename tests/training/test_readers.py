@@ -54,6 +54,22 @@ def test_frames_through_a_reader_are_the_scenes(exported, tmp_path):
     assert all(np.array_equal(group.material[i] > 0, scenes.material[i] > 0) for i in range(3))
 
 
+def test_frames_to_validate_on_may_lie_in_a_folder_of_their_own(exported, tmp_path):
+    shutil.copytree(exported / "folder", tmp_path / "mine")
+    plain = RealFrames("folder", exported / "folder", cache=tmp_path / "cache")
+    assert plain.held_out("optical", TINY) == {}
+    [(name, group)] = replace(plain, val_root=tmp_path / "mine").held_out("optical", TINY).items()
+    assert name == "folder_mine" and len(group) == 3
+
+
+def test_the_unit_of_a_folder_of_ones_own_can_be_said(exported, tmp_path):
+    plain = RealFrames("folder", exported / "folder", cache=tmp_path)
+    [metric], [tenth] = (f.scenes("optical", TINY, None) for f in (plain, replace(plain, depth_scale=0.0001)))
+    assert np.abs(metric.depth[0] - 10.0 * tenth.depth[0]).max() <= 5 and tenth.depth[0].any()
+    with pytest.raises(ValueError, match="--depth-scale is of --dataset folder; the unit of todd is known"):
+        replace(plain, name="todd", depth_scale=0.001)
+
+
 def test_decoded_frames_are_kept_and_made_again_when_something_changes(exported, tmp_path, monkeypatch):
     frames, calls = RealFrames("folder", exported / "folder", cache=tmp_path), []
     real = readers._decode
