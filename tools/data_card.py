@@ -325,6 +325,9 @@ License: Creative Commons Attribution 4.0 International (CC BY 4.0), see `LICENS
 
 ## Files
 
+Beside the splits lie `sensors` (scenes of `test`, rendered anew for each preset of `simulate --sensor`), `peers` (what
+other methods painted of a few test scenes, for notebook 08), and `environments` (the panoramas).
+
 One folder a scene, `SPLIT/SPLIT_SEED/`; all maps are 256 x 192 pixels (rooms: {size}) in the view of the RGB camera.
 
 | file | what it is |
@@ -421,8 +424,8 @@ Of the statistics above, the median of `rooms` differs most from that of trainin
 - The camera is ideal: no lens distortion, no rolling shutter, no motion blur, no chromatic error, no auto-exposure
   that fails; RGB and infrared are calibrated without error. Denoising leaves the pictures flatter than a real
   camera's.
-- The sensor is one kind, active stereo. Time of flight and structured light fail differently. There is no temporal
-  filter, no interference of a second projector, no sunlight.
+- The sensor of the splits is one kind, active stereo. Time of flight and structured light fail differently; `sensors`
+  shows two scenes under each. There is no temporal filter, no interference of a second projector, no sunlight.
 - Light is traced in three colours: glass does not disperse it, and no caustic is sharp at this number of paths. In
   infrared each wall of glass passes a share that is drawn, not derived from the material.
 - On table tops vessels are empty; in rooms a film of air lies between a liquid and an upright wall, while at the

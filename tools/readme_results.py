@@ -18,6 +18,16 @@ OWN_FRAMES = (
     "; `score.py` stands for a file of your own that yields frames (`peers.compare.frames_of_file`), these real frames "
     "are not in the repository"
 )
+SOURCES = {  # frame -> where it is from, all under Apache-2.0
+    "cleargrasp_d435": "Shreeyak/cleargrasp, 0688647, data/sample_dataset/real-val/d435",
+    "gajdosech_d415": "gajdosech2/cleargrasp, 2f182e7",
+    "exp-002": "the same",
+    "arc_sr300": "andyzeng/arc-robot-vision, 33c02ba",
+    "fernando_bottle": "Fernando94654/cleargrasp, 193af8b",
+    "dsikar_d415": "dsikar/cleargrasp, 3d377b0, live_demo/viz/data/d415",
+    "lingbot": "Robbyant/lingbot-depth, 47764da, examples",
+    "promptda_arkit": "DepthAnything/PromptDA, b05523c",
+}
 SETS = ("optical", "optical_valid", "geometric", "outside", "whole")
 COMPARED = {  # method -> what it does, in the table at the head
     "ditr": "this repository",
@@ -182,7 +192,10 @@ def real(result: dict) -> str:
         area = "–" if row["area"] is None else f"{row['area']:.2f}"
         name = frame.replace("no glass", "without glass")
         lines.append(f"| {name} | {100 * row['claimed']:.1f} | {missed} | {area} | {100 * row['moved']:.1f} |")
-    return "\n".join([*lines, "", f"Command: `{result['command']}`{OWN_FRAMES}."])
+    known = dict.fromkeys(frame.split("/")[0] for frame in frames)
+    sources = "; ".join(f"`{name}`: {SOURCES[name]}" for name in known if name in SOURCES)
+    told = f" From GitHub (repository, commit, folder), all under Apache-2.0: {sources}." if sources else ""
+    return "\n".join([*lines, "", f"Command: `{result['command']}`{OWN_FRAMES}.{told}"])
 
 
 def spread_over(frames: int) -> str:

@@ -22,6 +22,7 @@ from .shared import (
 )
 
 DATASETS = ("cleargrasp", "cleargrasp_synthetic", "todd", "std", "dreds", "trosd", "transcg", "folder")
+FEW = 6  # frames, below which an interval is not called one
 PROTOCOLS = ("cleargrasp", "lidf", "transparenet", "dfnet", "swindrnet", "d3roma", "marigold")
 
 
@@ -61,6 +62,7 @@ class Evaluate:
             raise ValueError(f"none of the {len(skipped)} frames can be scored: see what was left out, and why")
         print(f"{source}, region {'given' if options.given_region else 'found by stage one'}")
         print(scoring.format_report(scoring.summary(results, protocol), protocol))
+        say_if_few(len(results))
         if options.json:
             written = scoring.to_json(
                 results, command_line(options), options.weights, protocol, **notes(source, options)
@@ -117,6 +119,7 @@ class Bench:
         print(scoring.format_report(scoring.summary(results)))
         for name in own:
             print(against_best(results, name, tuple(REGISTRY)))
+        say_if_few(len(results))
         more = notes(source, options) | ({} if options.no_cost else {"cost": measure_costs(options, ditr, frames[0])})
         if options.json:
             written = scoring.to_json(results, command_line(options), options.weights, **more)
@@ -209,10 +212,17 @@ class Compare:
         found = compare_weights(options.first, options.second, frames, options.given_region)
         print(f"{source}, region {'given' if options.given_region else 'found by stage one'}")
         print(format_weights(found, str(options.first), str(options.second)))
+        say_if_few(len(frames))
         if options.json:
             from ..files import write_json
 
             write_json(options.json, weights_to_json(found, command_line(options), options.first, options.second))
+
+
+def say_if_few(frames: int) -> None:
+    """Warn of intervals over so few frames that resampling gives back little more than their range."""
+    if frames < FEW:
+        print(f"{frames} frames are too few for an interval: what stands in brackets is hardly more than their range")
 
 
 class Usable:

@@ -96,6 +96,13 @@ def test_a_method_is_compared_with_the_best_baseline_of_each_set():
     assert "optical: +10.0 [+10.0, +10.0] against good" in text and "bad" not in text
 
 
+def test_an_interval_of_few_frames_is_not_called_one(capsys):
+    evaluate.say_if_few(6)
+    assert not capsys.readouterr().out
+    evaluate.say_if_few(2)
+    assert capsys.readouterr().out.startswith("2 frames are too few for an interval")
+
+
 @pytest.mark.parametrize(
     ("argv", "reason"),
     [
