@@ -201,8 +201,9 @@ def check_fill_share(attempt: Function) -> bool:
 
     region = np.zeros((8, 10), bool)
     region[2:5, 3:8] = True
-    raw = clean_depth(RNG.uniform(0.4, 0.9, region.shape))
-    raw[RNG.random(raw.shape) < 0.3] = 0
+    rng = np.random.default_rng(9)
+    raw = clean_depth(rng.uniform(0.4, 0.9, region.shape))
+    raw[rng.random(raw.shape) < 0.3] = 0
     completed = np.where(region | (raw == 0), np.float32(0.55), raw)
     completed[3, 3:6] = raw[3, 3:6] = np.float32(0.62)  # estimated anew, with the same result
     adjusted = completed.copy()

@@ -4,8 +4,6 @@ import numpy as np
 
 from .checker import Function, check
 
-RNG = np.random.default_rng(10)
-
 
 def check_share(attempt: Function) -> bool:
     """Check ``attempt(items, index, of) -> array``: part ``index`` of ``of`` equal parts, in order."""
@@ -47,8 +45,9 @@ def check_accumulated(attempt: Function) -> bool:
         "the derivative of a square has a 2 in front": lambda x, y, w, n: right(x, y, w, n) / 2,
         "the inner derivative is missing: multiply by x": lambda x, y, w, n: float(np.mean(2 * (w * x - y))),
     }
-    x = RNG.normal(1, 1, 12)
-    cases = [(x, 3 * x + RNG.normal(size=12), 0.5, 3), (x, x**2, -1.0, 4)]
+    rng = np.random.default_rng(10)
+    x = rng.normal(1, 1, 12)
+    cases = [(x, 3 * x + rng.normal(size=12), 0.5, 3), (x, x**2, -1.0, 4)]
     return check("gradient in turns", attempt, right, cases, mistakes)
 
 
@@ -69,7 +68,8 @@ def check_average(attempt: Function) -> bool:
         "the last weight is left out": lambda w, d, s: right(w[:-1], d, s),
         "the newest weight comes last: they are taken in reverse": lambda w, d, s: right(w[::-1], d, s),
     }
-    cases = [(RNG.normal(2, 1, 9), 0.9, 1.0), (RNG.normal(size=30), 0.98, -3.0)]
+    rng = np.random.default_rng(10)
+    cases = [(rng.normal(2, 1, 9), 0.9, 1.0), (rng.normal(size=30), 0.98, -3.0)]
     return check("moving average", attempt, right, cases, mistakes)
 
 

@@ -1,10 +1,14 @@
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from ditr_lite import exercises
 from ditr_lite.exercises.checker import announce, check
+
+EXERCISES = Path(exercises.__file__).parent
 
 
 def double(x):
@@ -116,3 +120,11 @@ def test_leaving_the_program_is_a_reason_and_a_gradient_no_obstacle(capsys):
     assert not announce("a", lambda: sys.exit(1)) and "stopped with SystemExit: 1" in capsys.readouterr().out
     tensor = torch.ones(2, requires_grad=True)
     assert check("b", lambda x: tensor * 1, lambda x: np.ones(2), [(1,)])
+
+
+@pytest.mark.parametrize("path", sorted(EXERCISES.glob("*.py")), ids=lambda p: p.stem)
+def test_no_case_depends_on_what_was_checked_before(path):
+    # random numbers of the module are drawn once, when it is read; inside a checker they would be others every time
+    assert not [
+        line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith(" ") and "RNG" in line
+    ]
