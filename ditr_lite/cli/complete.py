@@ -12,7 +12,8 @@ from .shared import add_system, check_distinct, check_target, frame_files, load_
 
 DEPTH = (".png", ".tif", ".tiff", ".npy", ".exr")  # as files.DEPTH, which would import NumPy
 FOLDERS = ("rgb_dir", "depth_dir", "out_dir")
-PANEL_WIDTH = 480
+MORE_FOLDERS = ("region_dir", "ply_dir", "panel_dir")
+SUFFIX, PANEL_WIDTH = ".png", 480
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,9 @@ def add_arguments(p: ArgumentParser) -> None:
     many.add_argument("--depth-dir", type=Path, metavar="DIR", help="folder of depth maps, or a quoted pattern")
     many.add_argument("--region-dir", type=Path, metavar="DIR", help="folder of masks, or a quoted pattern")
     many.add_argument("--out-dir", type=Path, metavar="DIR", help="folder for completed depth, NAME and --suffix")
+    many.add_argument("--ply-dir", type=Path, metavar="DIR", help="folder for point clouds; needs --intrinsics")
     many.add_argument("--panel-dir", type=Path, metavar="DIR", help="folder for pictures of before and after")
-    many.add_argument("--suffix", choices=DEPTH, default=".png", help="kind of completed depth (%(default)s)")
+    many.add_argument("--suffix", choices=DEPTH, help=f"kind of completed depth ({SUFFIX})")
     many.add_argument(
         "--video",
         action="store_true",
@@ -75,11 +77,11 @@ def add_arguments(p: ArgumentParser) -> None:
         action="store_true",
         help="depth is aligned, but of lower resolution than colour: keep its readings where they are, fill between",
     )
-    p.add_argument("--panel-width", type=whole(100, 4000), default=PANEL_WIDTH, help="pixels of a map (%(default)s)")
+    p.add_argument("--panel-width", type=whole(100, 4000), help=f"pixels of a picture's maps ({PANEL_WIDTH})")
     p.add_argument(
         "--intrinsics",
         type=Path,
-        help="3x3 matrix as text or .npy, or .yaml or .json with fx, fy, cx, cy (camera_info)",
+        help="of point clouds: 3x3 matrix as text or .npy, or .yaml or .json with fx, fy, cx, cy (camera_info)",
     )
     p.add_argument("--seed", type=seed, default=0, help="of the noise (%(default)s)")
     p.add_argument("--adjust", action="store_true", help="let readings outside the region change too")
@@ -88,12 +90,13 @@ def add_arguments(p: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Complete one frame, or many, and return the exit code: 3 where some of many failed."""
-    if options.ply and not options.intrinsics:
-        raise ValueError("--ply needs the camera: give --intrinsics FILE (3x3 matrix, or lines fx: cx: ...)")
-    if any(getattr(options, name) for name in (*FOLDERS, "region_dir", "panel_dir")):
+    check_together(options)
+    if any(getattr(options, name) for name in (*FOLDERS, *MORE_FOLDERS)):
         return complete_many(options)
     if options.video:
         raise ValueError("--video needs frames that follow each other: give --rgb-dir, --depth-dir and --out-dir")
+    if options.suffix:
+        raise ValueError("--suffix is of --out-dir; the name of --out says what kind of file it is")
     missing = [f"--{name}" for name in ("rgb", "depth", "out") if getattr(options, name) is None]
     if missing:
         raise ValueError(f"the following arguments are required: {', '.join(missing)} (see `complete --help`)")
@@ -111,6 +114,18 @@ def run(options: Namespace) -> int:
         f"region {region.mean():.1%}, holes filled outside it {((depth == 0) & ~region).mean():.1%}"
     )
     return 0
+
+
+def check_together(options: Namespace) -> None:
+    """Refuse arguments that would do nothing without another that is not there."""
+    cloud, picture = options.ply or options.ply_dir, options.panel or options.panel_dir
+    if cloud and not options.intrinsics:
+        name = "--ply" if options.ply else "--ply-dir"
+        raise ValueError(f"{name} needs the camera: give --intrinsics FILE (3x3 matrix, or lines fx: cx: ...)")
+    if options.intrinsics and not cloud:
+        raise ValueError("--intrinsics is of a point cloud: give --ply, or --ply-dir for many frames")
+    if options.panel_width and not picture:
+        raise ValueError("--panel-width is of a picture: give --panel, or --panel-dir for many frames")
 
 
 def complete_many(options: Namespace) -> int:
@@ -170,13 +185,14 @@ def jobs_of(options: Namespace) -> list[Job]:
         print(f"ditr_lite: {alone} files have no partner and are left out", file=sys.stderr)
     if options.region_dir and (without := [name for name in names if name not in regions]):
         raise ValueError(f"{options.region_dir} has no mask for {without[0]}: give one for every frame, or none")
-    panels = options.panel_dir
+    clouds, panels = options.ply_dir, options.panel_dir
     return [
         Job(
             rgb=colour[name],
             depth=depth[name],
-            out=options.out_dir / f"{depth[name].stem}{options.suffix}",
+            out=options.out_dir / f"{depth[name].stem}{options.suffix or SUFFIX}",
             region=regions.get(name),
+            ply=clouds / f"{depth[name].stem}.ply" if clouds else None,
             panel=panels / f"{depth[name].stem}.png" if panels else None,
         )
         for name in names
@@ -250,4 +266,4 @@ def write_job(job: Job, frame, completion, options: Namespace) -> None:
         from ..viz import save_panel
 
         maps = (depth, completion.depth, completion.region, completion.std)
-        save_panel(job.panel, rgb, *maps, width=options.panel_width)
+        save_panel(job.panel, rgb, *maps, width=options.panel_width or PANEL_WIDTH)

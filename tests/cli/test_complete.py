@@ -54,7 +54,7 @@ def test_no_target_is_an_input(frame, weights, tmp_path, capsys, target, source,
     elif disguise == "hard link":
         other.hardlink_to(taken)
     path = {"same": taken, "dots": frame / ".." / "in" / taken.name}.get(disguise, other)
-    given = {**inputs, "out": tmp_path / "c.npy", target: path}
+    given = {**inputs, "out": tmp_path / "c.npy", "ply": tmp_path / "c.ply", target: path}
     assert f"--{target} and --{source} are the same file" in refused(command(weights, **given), capsys)
     assert taken.read_bytes() == before and not (tmp_path / "c.npy").exists()
 
@@ -111,8 +111,9 @@ def folders(frame, tmp_path):
     return {"rgb_dir": tmp_path / "rgb", "depth_dir": tmp_path / "depth", "out_dir": tmp_path / "out"}
 
 
-def test_a_folder_goes_on_after_a_bad_frame_reports_it_and_resumes(folders, weights, tmp_path, capsys):
+def test_a_folder_goes_on_after_a_bad_frame_reports_it_and_resumes(frame, folders, weights, tmp_path, capsys):
     given = {**folders, "region_dir": tmp_path / "region", "panel_dir": tmp_path / "panels", "suffix": ".npy"}
+    given |= {"ply_dir": tmp_path / "clouds", "intrinsics": frame / "K.txt"}
     assert main(command(weights, **given)) == 3
     said = capsys.readouterr()
     assert (
@@ -120,6 +121,7 @@ def test_a_folder_goes_on_after_a_bad_frame_reports_it_and_resumes(folders, weig
     )
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["000.npy", "002.npy"]
     assert sorted(p.name for p in (tmp_path / "panels").iterdir()) == ["000.png", "002.png"]
+    assert sorted(p.name for p in (tmp_path / "clouds").iterdir()) == ["000.ply", "002.ply"]
     before = (tmp_path / "out" / "000.npy").stat().st_mtime_ns
     shutil.copy(tmp_path / "depth" / "000.PNG", tmp_path / "depth" / "001.PNG")
     assert main(command(weights, **given)) == 0
@@ -177,6 +179,29 @@ def test_folders_that_cannot_be_completed(folders, weights, tmp_path, capsys, ch
     given = {**folders, **{k: v and (v if k == "suffix" else tmp_path / v) for k, v in change.items()}}
     message = refused(command(weights, **{k: v for k, v in given.items() if v is not None}), capsys)
     assert re.search(reason, message), message
+
+
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        ({"suffix": ".npy"}, "--suffix is of --out-dir"),
+        ({"panel_width": 200}, "--panel-width is of a picture: give --panel"),
+        ({"intrinsics": "K.txt"}, "--intrinsics is of a point cloud: give --ply"),
+        ({"ply": "c.ply"}, "--ply needs the camera: give --intrinsics"),
+    ],
+)
+def test_an_argument_that_would_do_nothing_is_refused(frame, weights, tmp_path, capsys, more, reason):
+    given = {"rgb": frame / "a.png", "depth": frame / "b.png", "out": tmp_path / "c.png", **more}
+    assert reason in refused(command(weights, **given), capsys) and not (tmp_path / "c.png").exists()
+
+
+def test_a_wrong_unit_is_named_as_it_is_typed(frame, weights, tmp_path, capsys):
+    np.save(frame / "b.npy", np.full(SHAPE, 610.0))
+    given = {"rgb": frame / "a.png", "depth": frame / "b.npy", "out": tmp_path / "c.npy"}
+    assert refused(command(weights, **given), capsys).endswith("millimetres? pass --depth-scale 0.001")
+    assert main([*command(weights, **given), "--depth-scale", "0.01"]) == 0
+    warned = capsys.readouterr().err
+    assert "is their unit right (--depth-scale)?" in warned and "depth_scale" not in warned
 
 
 # --- video ------------------------------------------------------------------------------------------------------------
