@@ -5,6 +5,7 @@ ends with exit code 2 and one line on stderr, an interruption with 130 and one l
 """
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -13,10 +14,10 @@ from argparse import ArgumentParser
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from . import complete, evaluate, simulate, train
+from . import compare, complete, evaluate, simulate, train
 
 COMMANDS = {
-    "complete": (complete, "complete one RGB-D frame of any camera"),
+    "complete": (complete, "complete RGB-D frames of any camera, one or a folder of them"),
     "evaluate": (evaluate.Evaluate, "score DITR and every baseline on frames with ground truth"),
     "simulate": (simulate, "render scenes; without --split, the shipped ones (existing scenes are kept)"),
     "train": (train.Train, "train one part or all; a stopped run goes on where it was"),
@@ -26,7 +27,10 @@ COMMANDS = {
     ),
     "train-boundary": (train.TrainBoundary, "train the learned boundary backend; a stopped run goes on where it was"),
     "bench-boundary": (evaluate.BenchBoundary, "score every boundary backend against the exact outlines of the scenes"),
-    "compare": (evaluate.Compare, "score two weights folders on the same frames: paired differences"),
+    "compare": (
+        compare,
+        "score two systems on the same frames, or hold two results files against each other: paired differences",
+    ),
     "floor": (evaluate.Floor, "measure what the autoencoder loses of the ground truth, and how many codes it uses"),
 }
 # OSError: files that are absent, unreadable, or cannot be written; RuntimeError: a reader's own part, torch, a library
@@ -67,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             warnings.showwarning = _warner()
             return options.run(options) or 0
     except BAD_INPUT as error:
-        return _report(f"error: {' '.join(str(error).split())}", 2)
+        return _report(f"error: {_as_typed(str(error))}", 2)
     except MemoryError:
         return _report("error: not enough memory for this; take fewer samples, a smaller batch or smaller frames", 2)
     except Ended:
@@ -115,12 +119,18 @@ def _warner() -> Callable[..., None]:
     said = set()
 
     def warn(message: Warning | str, *_, **__) -> None:
-        text = " ".join(str(message).split())
+        text = _as_typed(str(message))
         if text not in said:
             print("ditr_lite: warning:", text, file=sys.stderr)
         said.add(text)
 
     return warn
+
+
+def _as_typed(text: str) -> str:
+    """Return a message of the library as one line in the words of a command line."""
+    line = " ".join(text.split())
+    return re.sub(r"(pass |\()depth_scale\b", r"\1--depth-scale", line).replace("--depth-scale=", "--depth-scale ")
 
 
 def _report(text: str, code: int) -> int:

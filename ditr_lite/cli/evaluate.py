@@ -185,40 +185,6 @@ class Floor:
             results.write(options.json, begin, report)
 
 
-class Compare:
-    """Score two weights folders on the same frames and print the paired differences."""
-
-    @staticmethod
-    def add_arguments(p: ArgumentParser) -> None:
-        """Add what ``compare`` takes."""
-        p.add_argument("first", type=Path, metavar="A", help="weights folder, e.g. ditr_lite/weights")
-        p.add_argument("second", type=Path, metavar="B", help="another; the differences are B - A")
-        add_frames(p)
-        p.add_argument("--limit", type=whole(), help="only the first frames")
-        p.add_argument("--given-region", action="store_true", help="hand over the true region instead of finding it")
-        p.add_argument("--json", type=Path, help="also write every frame's errors to this file")
-        p.set_defaults(skip_bad=False)
-
-    @staticmethod
-    def run(options: Namespace) -> None:
-        """Print the table."""
-        check_results(options.json)
-        from ..evaluation.compare import compare_weights, format_weights, weights_to_json
-        from ..store import read_card
-
-        for folder in (options.first, options.second):
-            read_card(folder)  # refused before anything is computed
-        source, frames = chosen_frames(options)
-        found = compare_weights(options.first, options.second, frames, options.given_region)
-        print(f"{source}, region {'given' if options.given_region else 'found by stage one'}")
-        print(format_weights(found, str(options.first), str(options.second)))
-        say_if_few(len(frames))
-        if options.json:
-            from ..files import write_json
-
-            write_json(options.json, weights_to_json(found, command_line(options), options.first, options.second))
-
-
 def say_if_few(frames: int) -> None:
     """Warn of intervals over so few frames that resampling gives back little more than their range."""
     if frames < FEW:

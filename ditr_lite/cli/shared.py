@@ -76,6 +76,14 @@ def kernels(text: str) -> tuple[int, int, int]:
     return median, dilate, iterations
 
 
+def setting(text: str) -> tuple[str, str]:
+    """Read ``KEY=VALUE``."""
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise ValueError(f"--set expects key=value like unet.width=48, got {text!r}")
+    return key, value
+
+
 def add_depth_scale(parser: ArgumentParser) -> None:
     """Add the argument that says the unit of depth in a folder of one's own."""
     parser.add_argument(

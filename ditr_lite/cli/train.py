@@ -19,6 +19,7 @@ from .shared import (
     has_scenes,
     real,
     seed,
+    setting,
     whole,
 )
 
@@ -91,7 +92,7 @@ class Train:
 
         if options.part not in ("all", *fitting.PARTS):
             raise ValueError(f"unknown part {options.part!r}; choose all or one of {', '.join(fitting.PARTS)}")
-        settings = dict(_setting(text) for text in options.set)
+        settings = dict(map(setting, options.set))
         tiny = options.preset == "tiny" and settings and options.part == "all" and not options.dataset
         if tiny and options.start is None:
             return experiment(options, settings)
@@ -420,10 +421,3 @@ def folders(options: Namespace) -> tuple[list[Path], list[Path]]:
 def _is_of_training(path: Path) -> bool:
     """Return whether something in a folder is of weights, results about them or checkpoints."""
     return path.is_dir() or path.suffix in (".safetensors", ".json", ".jsonl", ".md", ".txt", ".log")
-
-
-def _setting(text: str) -> tuple[str, str]:
-    key, equals, value = text.partition("=")
-    if not equals:
-        raise ValueError(f"--set expects key=value like unet.width=48, got {text!r}")
-    return key, value

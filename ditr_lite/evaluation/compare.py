@@ -1,10 +1,11 @@
-"""Two weights folders on the same frames: what each scores, and their paired difference."""
+"""Two systems, or two results files, on the same frames: what each scores, and their paired difference."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from .. import metrics
+from ..config import override
 from ..data import Sample
 from ..pipeline import Ditr
 from .results import head
@@ -14,8 +15,17 @@ from .statistics import format_interval, interval, mean_known, paired_bootstrap,
 Scores = list[float | None]
 
 
+# what a trained system can be asked to do otherwise: nothing that its weights were shaped by
+WORKING = ("sampler.steps", "sampler.samples", "window", "evidence")
+WORKING_GROUP = "refine."
+
+
 def compare_weights(
-    first: Path | str | None, second: Path | str | None, samples: Sequence[Sample], given_region: bool = False
+    first: Path | str | None,
+    second: Path | str | None,
+    samples: Sequence[Sample],
+    given_region: bool = False,
+    settings: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Score two systems.
 
@@ -24,17 +34,65 @@ def compare_weights(
         second: likewise.
         samples: frames with ground truth.
         given_region: hand over the true region instead of finding it.
+        settings: dotted settings of the second system, such as ``{"sampler.steps": 4}``.
 
     Returns:
         ``frames``, their names; ``rmse_m``: "first" and "second" -> set -> one value a frame or None; ``difference``:
         set -> [mean, low, high] of second minus first in metres, 95 %, paired over frames; ``ratio``: likewise, of the
         means. None where no frame has such pixels.
+
+    Raises:
+        ValueError: for a setting that only training can change.
     """
-    rmse, names = {}, []
-    for which, folder in (("first", first), ("second", second)):
-        rows = run_methods(samples, Ditr.from_pretrained(path=folder), {}, given_region)
-        names = [row["name"] for row in rows]
-        rmse[which] = {key: [_rmse(row, key) for row in rows] for key in metrics.SETS}
+    settings = settings or {}
+    for key in settings:
+        if key not in WORKING and not key.startswith(WORKING_GROUP):
+            asked = f"{', '.join(WORKING)} or {WORKING_GROUP}*"
+            raise ValueError(f"{key} shapes the weights: it needs a training of its own; expected {asked}")
+    systems = {"first": Ditr.from_pretrained(path=first), "second": Ditr.from_pretrained(path=second)}
+    if settings:
+        systems["second"].config = override(systems["second"].config, **settings)
+    rows = {which: run_methods(samples, ditr, {}, given_region) for which, ditr in systems.items()}
+    rmse = {which: {key: [_rmse(row, key) for row in found] for key in metrics.SETS} for which, found in rows.items()}
+    return _paired([row["name"] for row in rows["first"]], rmse)
+
+
+def compare_results(first: Mapping[str, Any], second: Mapping[str, Any], methods: Sequence[str]) -> dict[str, Any]:
+    """Hold two results files of ``evaluate`` or ``bench`` against each other, over the frames that both have.
+
+    Args:
+        first: what the file holds: ``rmse_m`` of every frame, method and set.
+        second: likewise.
+        methods: the one of the first and the one of the second, e.g. ``("ditr", "ditr")``.
+
+    Returns:
+        as :func:`compare_weights`.
+
+    Raises:
+        ValueError: for files that are of something else, of no common frame, or have no such method.
+    """
+    tables = {}
+    for which, report, method in zip(("first", "second"), (first, second), methods, strict=True):
+        frames = report.get("rmse_m")
+        if not isinstance(frames, Mapping) or not all(isinstance(row, Mapping) for row in frames.values()):
+            raise ValueError(f"the {which} file holds no RMSE by frame: expected one of `evaluate --json`")
+        known = dict.fromkeys(name for row in frames.values() for name in row)
+        if method not in known:
+            raise ValueError(f"the {which} file has no method {method!r}; it has {', '.join(known)}")
+        tables[which] = {name: row[method] for name, row in frames.items() if method in row}
+    if (sources := [report.get("source") for report in (first, second)])[0] != sources[1]:
+        raise ValueError(f"the files are of other frames: {sources[0]} and {sources[1]}")
+    names = [name for name in tables["first"] if name in tables["second"]]
+    if not names:
+        raise ValueError("the files have no frame in common")
+    rmse = {
+        which: {key: [table[name].get(key) for name in names] for key in metrics.SETS}
+        for which, table in tables.items()
+    }
+    return _paired(names, rmse)
+
+
+def _paired(names: list[str], rmse: dict[str, dict[str, Scores]]) -> dict[str, Any]:
     pairs = {key: (rmse["second"][key], rmse["first"][key]) for key in metrics.SETS}
     return {
         "frames": names,

@@ -196,6 +196,42 @@ def test_two_weights_folders_are_compared_on_the_same_frames(weights, scenes, tm
     assert "no weights in" in refused(["compare", str(weights), str(tmp_path / "none")], capsys)
 
 
+def test_one_system_is_compared_with_itself_working_otherwise(weights, scenes, capsys):
+    argv = ["compare", str(weights), "--root", str(scenes), "--limit", "2", "--given-region"]
+    assert main([*argv, "--set", "sampler.steps=2"]) == 0
+    printed = capsys.readouterr().out
+    assert f"B = {weights} sampler.steps=2" in printed and "optical" in printed
+    assert "B is missing" in refused(argv, capsys)
+    assert "unet.width shapes the weights" in refused([*argv, "--set", "unet.width=4"], capsys)
+    assert "unknown setting 'refine.wide'" in refused([*argv, "--set", "refine.wide=4"], capsys)
+
+
+def test_two_results_files_are_held_against_each_other(weights, tmp_path, capsys):
+    frames = {f"test_{k:05d}": {"ditr": {"optical": 0.03 + 0.001 * k}, "raw": {"optical": 0.05}} for k in range(8)}
+    for name, rows in (("a", frames), ("b", dict(list(frames.items())[1:]))):
+        report = {"command": f"make {name}", "source": "test split", "rmse_m": rows}
+        (tmp_path / f"{name}.json").write_text(json.dumps(report))
+    both = ["compare", str(tmp_path / "a.json"), str(tmp_path / "b.json")]
+    assert main([*both, "--json", str(tmp_path / "c.json")]) == 0
+    printed = capsys.readouterr().out
+    assert "A was made by make a, B by make b" in printed and "+0.0 [+0.0, +0.0]" in printed
+    assert "1 frames that only one of both has are left out" in printed
+    assert len(json.loads((tmp_path / "c.json").read_text())["frames"]) == 7
+    assert main([*both, "--method", "raw", "--method", "ditr"]) == 0
+    assert "-16.0 [" in capsys.readouterr().out  # 34 mm, the mean of 31 to 37, instead of 50
+    for more, reason in (
+        (["--method", "mine"], "has no method 'mine'; it has ditr, raw"),
+        (["--limit", "2"], "take no --limit"),
+        (["--set", "sampler.steps=2"], "take no --set"),
+    ):
+        assert reason in refused([*both, *more], capsys)
+    assert "of two kinds" in refused([*both[:2], str(weights)], capsys)
+    (tmp_path / "b.json").write_text(json.dumps({"command": "x", "source": "rooms split", "rmse_m": frames}))
+    assert "of other frames: test split and rooms split" in refused(both, capsys)
+    (tmp_path / "b.json").write_text(json.dumps({"command": "x"}))
+    assert "the second file holds no RMSE by frame" in refused(both, capsys)
+
+
 @pytest.mark.parametrize(
     ("after", "word"),
     [((0.1, 0.2, 0.3), "helped"), ((0.5, 0.7, 0.9), "harmed"), ((0.3, 0.4, 0.5), "no measurable difference")],

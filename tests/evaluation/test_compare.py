@@ -3,6 +3,7 @@
 import pytest
 
 from ditr_lite import metrics
+from ditr_lite.config import preset
 from ditr_lite.evaluation import compare
 
 ERRORS = {"good": (0.01, 0.02, 0.03), "bad": (0.03, 0.05, 0.04)}
@@ -24,3 +25,23 @@ def test_the_second_folder_is_held_against_the_first(monkeypatch):
     assert found["difference"]["whole"][1] > 0 and found["difference"]["optical"] is None
     worse, better = (compare.format_weights(found, "good", "bad"), compare.compare_weights("bad", "good", []))
     assert better["difference"]["whole"][2] < 0 and "+20.0" in worse
+
+
+def test_only_the_second_system_works_otherwise(monkeypatch):
+    asked = []
+
+    class System:
+        def __init__(self, path):
+            self.config = preset("tiny")
+
+    def run(samples, ditr, methods, given):
+        asked.append(ditr.config)
+        return [{"name": "a", "methods": {"ditr": {key: {"rmse": 1.0} for key in metrics.SETS}}}]
+
+    monkeypatch.setattr(compare.Ditr, "from_pretrained", System)
+    monkeypatch.setattr(compare, "run_methods", run)
+    compare.compare_weights(None, None, [], settings={"sampler.steps": "7", "refine.threshold": "0.25"})
+    first, second = asked
+    assert first == preset("tiny") and second.sampler.steps == 7 and second.refine.threshold == 0.25
+    with pytest.raises(ValueError, match=r"autoencoder.width shapes the weights.*expected sampler.steps"):
+        compare.compare_weights(None, None, [], settings={"autoencoder.width": "8"})
