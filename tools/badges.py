@@ -5,6 +5,7 @@
 Without a name, it is that of the GitHub repository from which this clone comes. Run it once after publishing.
 """
 
+import argparse
 import os
 import re
 import subprocess
@@ -43,7 +44,9 @@ def with_badges(page: str, name: str) -> str:
 
 def main(arguments: list[str]) -> int:
     """Run the command line; return the exit status."""
-    name = arguments[0] if arguments else origin()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name", nargs="?", metavar="OWNER/NAME", help="of the repository (where this clone comes from)")
+    name = parser.parse_args(arguments).name or origin()
     if name is None:
         print("badges: this clone comes from no GitHub repository; give OWNER/NAME", file=sys.stderr)
         return 2

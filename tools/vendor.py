@@ -3,6 +3,7 @@
 python tools/vendor.py NAME ...
 """
 
+import argparse
 import os
 import shutil
 import subprocess
@@ -43,8 +44,10 @@ def fetch(name: str) -> Path:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="+", metavar="NAME", choices=PINNED, help=f"one of {', '.join(PINNED)}")
     try:
-        for wanted in sys.argv[1:]:
+        for wanted in parser.parse_args().names:
             print(fetch(wanted))
     except (OSError, ValueError) as error:
         sys.exit(f"vendor: {error}")
