@@ -36,7 +36,7 @@ class Train:
     def add_arguments(p: ArgumentParser) -> None:
         """Add what ``train`` takes."""
         p.add_argument("--part", default="all", help="all (default), autoencoder, region, optical, geometric or detail")
-        p.add_argument("--preset", default="lite", help="sizes: tiny, lite (default) or paper")
+        p.add_argument("--preset", help="sizes: tiny, lite (default) or paper")
         p.add_argument(
             "--set",
             action="append",
@@ -92,6 +92,9 @@ class Train:
 
         if options.part not in ("all", *fitting.PARTS):
             raise ValueError(f"unknown part {options.part!r}; choose all or one of {', '.join(fitting.PARTS)}")
+        if options.start is not None and options.preset is not None:
+            raise ValueError("--start goes on with the sizes of its weights: leave out --preset")
+        options.preset = options.preset or "lite"
         settings = dict(map(setting, options.set))
         tiny = options.preset == "tiny" and settings and options.part == "all" and not options.dataset
         if tiny and options.start is None:

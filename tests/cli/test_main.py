@@ -308,7 +308,7 @@ def test_a_changed_tiny_system_is_compared_with_the_default(scenes, tmp_path, fr
     assert card["config"]["unet"]["heads"] == 1 and card["parts"]["optical"]["recipe"]["batch"] == 2
     assert main(arguments(frame, tmp_path / "outputs/weights/tiny/unet.heads=1", tmp_path / "c.png")) == 0
     assert "nothing is changed" in refused([*argv, "--set", "unet.heads=2"], capsys)
-    assert "--start needs --out" in refused([*argv, "--start", "outputs/weights"], capsys)
+    assert "leave out --preset" in refused([*argv, "--start", "outputs/weights"], capsys)
 
 
 def test_a_comparison_runs_over_several_seeds_and_is_written(scenes, tmp_path, capsys, monkeypatch):

@@ -93,6 +93,7 @@ def test_fine_tuning_says_what_it_did_and_needs_a_place_of_its_own(weights, scen
     argv += ["--batch", "2", "--val", str(scenes / "test"), "--work", str(tmp_path / "work")]
     before = (weights / "region.safetensors").read_bytes()
     assert "--start needs --out" in refused(argv, capsys)
+    assert "leave out --preset" in refused([*argv, "--preset", "lite", "--out", str(tmp_path / "out")], capsys)
     assert "which fine-tuning never replaces" in refused([*argv, "--out", str(weights)], capsys)
     assert main([*argv, "--out", str(tmp_path / "out"), "--scene-share", "0"]) == 0
     printed = capsys.readouterr().out
