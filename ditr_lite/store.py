@@ -172,12 +172,12 @@ def copy_part(name: str, source: Path | str, folder: Path | str, config: Config 
         config: of a folder that has no card yet; the source's by default.
     """
     folder = Path(folder)
-    if (folder / f"{name}.safetensors").is_file():
-        return
+    if (folder / CARD).is_file():
+        if name in read_card(folder)["parts"] and (folder / f"{name}.safetensors").is_file():
+            return
+        config = read_config(folder)
     card = read_card(source)
     state = load_part(name, source)
-    if (folder / CARD).is_file():
-        config = read_config(folder)
     save_part(name, state, config or read_config(source), folder, card["parts"][name])
 
 

@@ -68,6 +68,14 @@ def test_a_part_is_copied_with_its_entry_and_only_where_it_is_missing(tmp_path):
     assert "count" in load_part("encoder", tmp_path / "b")
 
 
+def test_a_file_without_an_entry_in_the_card_does_not_count_as_a_copy(tmp_path):
+    save_part("encoder", STATE, preset("lite"), tmp_path / "a", {})
+    save_part("region", STATE, TINY, tmp_path / "b", {})
+    (tmp_path / "b" / "encoder.safetensors").write_bytes(b"what a killed writer left")
+    store.copy_part("encoder", tmp_path / "a", tmp_path / "b")
+    assert torch.equal(load_part("encoder", tmp_path / "b")["count"], STATE["count"])
+
+
 def test_a_folder_without_a_card_gets_the_settings_that_are_asked_for(tmp_path):
     save_part("encoder", STATE, preset("lite"), tmp_path / "a", {})
     store.copy_part("encoder", tmp_path / "a", tmp_path / "b", TINY)
