@@ -33,7 +33,7 @@ class Sample:
         depth_gt: (H, W) float32 metres, first surface seen from the RGB camera, 0 = unknown.
         region: (H, W) bool, transparent or reflective.
         camera: intrinsics of the RGB view; None for a frame that came without.
-        material: (H, W) uint8, 0 opaque, 1 transparent, 2 reflective.
+        material: (H, W) uint8, 0 opaque, 1 transparent, 2 reflective, 255 not to be judged.
         instances: (H, W) uint8, 0 background, then one id per object.
         loss: (H, W) uint8, codes of ``loss_types.LossType``.
         cause: (H, W) uint8, codes of ``loss_types.Cause``.
@@ -86,7 +86,7 @@ def save_sample(sample: Sample, folder: Path | str) -> None:
     if sample.region is not None:
         if sample.material is None:  # which otherwise says it
             images["region.png"] = np.where(sample.region, np.uint8(255), np.uint8(0))
-        elif not np.array_equal(sample.region, sample.material > OPAQUE):
+        elif not np.array_equal(sample.region, lossy(sample.material)):
             raise ValueError(f"{sample.name}: region and material disagree; leave one of them out")
     meta = {
         "camera": asdict(sample.camera) if sample.camera else None,
@@ -130,9 +130,14 @@ def read_sample(folder: Path | str) -> Sample:
     return sample
 
 
+def lossy(material: np.ndarray) -> np.ndarray:
+    """Return where material codes say glass or metal; where nothing is known, and beyond a border, they say neither."""
+    return (material == TRANSPARENT) | (material == REFLECTIVE)
+
+
 def _region(folder: Path, labels: dict[str, np.ndarray]) -> np.ndarray | None:
     if "material" in labels:
-        return labels["material"] > OPAQUE
+        return lossy(labels["material"])
     path = folder / "region.png"
     return read_labels(path) > 0 if path.is_file() else None
 

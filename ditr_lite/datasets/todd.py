@@ -10,6 +10,7 @@ import numpy as np
 from ..camera import Camera
 from ..data import OPAQUE, TRANSPARENT, Sample
 from ..files import read_depth, read_rgb
+from ..region import IGNORE
 from .base import FrameFolder, red
 
 
@@ -33,16 +34,17 @@ class TODD(FrameFolder):
     def read(self, name: str, stem: Path) -> Sample:
         """Read one frame."""
         instances = red(stem / "instance_segment.png")
-        region = (instances > 0) & (instances != self.ignored)
+        ignored = instances == self.ignored
+        region = (instances > 0) & ~ignored
         truth = read_depth(stem / "detph_GroundTruth.exr")  # the dataset's own spelling
         return Sample(
             name=name,
             rgb=read_rgb(stem / "image.jpg"),
             depth=read_depth(stem / "depth.exr", allow_empty=True),
-            depth_gt=np.where(instances == self.ignored, np.float32(0), truth),
+            depth_gt=np.where(ignored, np.float32(0), truth),
             region=region,
             camera=Camera(613.962, 613.756, 324.447, 239.171, 640, 480),
-            material=np.where(region, TRANSPARENT, OPAQUE).astype(np.uint8),
+            material=np.select([ignored, region], [IGNORE, TRANSPARENT], OPAQUE).astype(np.uint8),
             instances=np.where(region, instances // 10, 0).astype(np.uint8),
             meta={"dataset": "TODD"},
         )

@@ -8,6 +8,7 @@ import numpy as np
 from .. import metrics
 from ..data import REFLECTIVE, TRANSPARENT, Sample
 from ..pipeline import Completion, Ditr
+from ..region import IGNORE
 from ..windows import fit_frame
 
 STAGE_ONE = ("iou", "miss_rate", "area_ratio")  # of every frame; PER_CLASS where the materials are known
@@ -16,15 +17,16 @@ PER_CLASS = tuple(f"{figure}_{name}" for figure in ("iou", "recall") for name in
 
 
 def score_stage_one(out: Completion, sample: Sample, ditr: Ditr) -> dict[str, float | None] | None:
-    """Return how well the region was found; None when it was given or is not known."""
+    """Return how well the region was found, of pixels that may be judged; None when it was given or is not known."""
     if out.probability is None or sample.region is None:
         return None
     frame = fit_frame(sample.depth.shape, ditr.config.size)
     refined = frame.back(ditr.refine(frame.into(sample.region)) & frame.picture)
+    judged = np.full_like(sample.region, True) if sample.material is None else sample.material != IGNORE
     scores = {
-        "iou": metrics.iou(out.probability > ditr.config.refine.threshold, sample.region),
+        "iou": metrics.iou((out.probability > ditr.config.refine.threshold) & judged, sample.region),
         "miss_rate": metrics.miss_rate(out.region, sample.region),
-        "area_ratio": metrics.area_ratio(out.region, refined),
+        "area_ratio": metrics.area_ratio(out.region & judged, refined & judged),
     }
     if sample.material is not None and out.classes is not None:
         scores |= class_scores(out.classes, sample.material)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ..boundary import M_DA, M_RGB, Backend, boundary_maps
 from ..conditioning import Bounds, depth_bounds, to_tensor
+from ..data import lossy
 from ..units import without_strays
 from .loop import WHOLE, Share
 from .scenes import Pool, Scenes
@@ -181,13 +182,18 @@ def epoch_frames(
     return batch_of(views, backend)
 
 
+def scenes_with_glass(scenes: Scenes) -> list[int]:
+    """Return which scenes hold glass or metal."""
+    return [i for i in range(len(scenes)) if lossy(scenes.material[i]).any()]
+
+
 def windows_in_order(scenes: Scenes, side: int, count: int = 8, backend: Backend | None = None) -> Iterator[Batch]:
     """Yield a window of every scene that holds glass or metal, with its true region as far off as training shows it.
 
     The same ones every time; :func:`views.grow` says how far.
     """
     rng = np.random.default_rng(1)
-    glass = [i for i in range(len(scenes)) if (scenes.material[i] > 0).any()]
+    glass = scenes_with_glass(scenes)
     for start in range(0, len(glass), count):
         views = [window_view(scenes, i, (side, side), rng, mistaken=0.0) for i in glass[start : start + count]]
         yield batch_of(views, backend, around=True)

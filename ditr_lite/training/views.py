@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from ..data import REFLECTIVE, TRANSPARENT
+from ..data import lossy
 from ..region import IGNORE
 from ..windows import LEAST, MARGIN
 from .augment import colours, dusk, glare
@@ -56,11 +56,6 @@ def look(scenes: Scenes, i: int, matrix: np.ndarray, size: tuple[int, int], clai
     if claimed is not None:
         region |= cv2.warpAffine(claimed.astype(np.uint8), matrix, wh, flags=nearest) > 0
     return View(rgb, depth, gt, material, region)
-
-
-def lossy(material: np.ndarray) -> np.ndarray:
-    """Return where material codes say glass or metal; beyond a scene's border they say neither."""
-    return (material == TRANSPARENT) | (material == REFLECTIVE)
 
 
 def placement(

@@ -7,9 +7,11 @@ import numpy as np
 import OpenEXR
 import pytest
 
+import ditr_lite as dl
 from ditr_lite import datasets, files
 from ditr_lite.camera import Camera
-from ditr_lite.data import REFLECTIVE, TRANSPARENT
+from ditr_lite.data import REFLECTIVE, TRANSPARENT, lossy
+from ditr_lite.region import IGNORE
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "real"
 needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="no real frames beside the repository")
@@ -138,7 +140,7 @@ def test_every_reader(tmp_path, name):
         else:
             assert not sample.depth[REGION].any()
         np.testing.assert_array_equal(sample.region, REGION)
-        np.testing.assert_array_equal(sample.material > 0, REGION)
+        np.testing.assert_array_equal(lossy(sample.material), REGION)
         if name == "trosd":
             assert sample.depth_gt is None
         else:
@@ -317,3 +319,11 @@ def test_real_frames_of_other_cameras():
     folder = REAL / "dsikar_d415"
     assert files.read_rgb(folder / "d415_color_img.npy").shape == (720, 1280, 3)
     assert np.isclose((files.read_depth(folder / "d415_input_depth.npy") == 0).mean(), 0.16, atol=0.005)
+
+
+def test_what_todd_asks_to_ignore_is_neither_glass_nor_opaque(tmp_path):
+    make_todd(tmp_path / "train" / "train" / "1622.5")
+    sample = datasets.TODD(tmp_path, "train")[0]
+    assert (sample.material[-1] == IGNORE).all() and not sample.region[-1].any() and not sample.depth_gt[-1].any()
+    dl.save_sample(sample, tmp_path / "kept")
+    assert np.array_equal(dl.read_sample(tmp_path / "kept").region, sample.region)
