@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from ..boundary import get_backend
 from ..config import Config, to_dict
 from ..metrics import iou
 from ..stage_two import BRANCHES
@@ -133,6 +134,7 @@ def adapt(
     """
     if part not in RECIPES:
         raise ValueError(f"cannot fine-tune {part!r}: choose one of {', '.join(RECIPES)}; train the autoencoder afresh")
+    engine.join()
     check_out(out, start)
     check_same_system(config, start, NETWORKS)
     check_same_system(config, out)
@@ -150,7 +152,7 @@ def adapt(
     before = model_errors(model, errors, judges)
     remarks = {"start_sha256": read_card(start)["parts"][part]["sha256"]}
     below = [read_card(out)["parts"][name]["sha256"] for name in needs(part, config)]
-    seen = [checksum(*pool.groups, held_out), pool.shares.tolist()]
+    seen = [checksum(*pool.groups, held_out), pool.shares.tolist(), str(get_backend(boundary).fingerprint)]
     key = json.dumps([to_dict(config), seen, below, boundary, remarks], sort_keys=True)
     notes = fit(
         part,
@@ -195,18 +197,7 @@ def errors_of(part: str, parts: nn.ModuleDict, config: Config, boundary: str) ->
     painters = {branch: painter_of(branch, parts, config) for branch in BRANCHES}
     if part == "detail":
         return lambda scenes: sharpened_errors(parts["detail"], painters, config, scenes, boundary)
-    return lambda scenes: branch_errors(part, painters[part], config, scenes, boundary)
-
-
-def branch_errors(branch: str, painter: Any, config: Config, scenes: Scenes, boundary: str) -> np.ndarray:
-    """Return ``parts.scene_errors`` with a place for every scene, NaN for those without a window."""
-    found = np.full(len(scenes), np.nan)
-    asked = list(range(len(scenes)))
-    if branch == "optical" and config.window:
-        asked = [i for i in asked if (scenes.material[i] > 0).any()]
-    if asked:
-        found[asked] = scene_errors(branch, painter, config, scenes, boundary)
-    return found
+    return lambda scenes: scene_errors(part, painters[part], config, scenes, boundary)
 
 
 def region_errors(model: nn.Module, config: Config, scenes: Scenes) -> np.ndarray:

@@ -13,6 +13,7 @@ process's share.
 import hashlib
 import json
 import math
+import os
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -191,12 +192,16 @@ class Engine:
         if self.precision not in PRECISIONS:
             raise ValueError(f"unknown precision {self.precision!r}; choose one of {', '.join(PRECISIONS)}")
 
+    def join(self) -> None:
+        """Join the other processes, where there are any; whoever asks first decides whether on CPUs."""
+        _place(self.cpu)
+
     def start(self) -> "Accelerator":
         """Find out how this process was started and join the others, where there are any."""
         from accelerate import Accelerator  # here: it takes a third of a second, and most who import this never train
 
-        _place(self.cpu)
-        return Accelerator(cpu=self.cpu)
+        self.join()
+        return Accelerator(cpu=self.cpu, mixed_precision="no")  # Scored does that, where `half` says so
 
     def shares(self, accelerator: "Accelerator", batch: int) -> list[Share]:
         """Return what this process takes of every batch, in turn.
@@ -215,7 +220,7 @@ class Engine:
         """Return whether to compute in bfloat16."""
         if self.precision == "auto":
             has_it = accelerator.device.type == "cuda" and torch.cuda.is_bf16_supported()
-            return has_it or accelerator.mixed_precision == "bf16"  # asked of accelerate's launcher
+            return has_it or os.environ.get("ACCELERATE_MIXED_PRECISION") == "bf16"  # asked of accelerate's launcher
         return self.precision == "bf16"
 
 

@@ -21,7 +21,7 @@ from ..region import IGNORE, region_probability
 from ..stage_two import BRANCHES, Painter, cl
 from ..store import CARD, WEIGHTS, calibrated, copy_part, copy_weights, load_part, read_card, read_config, save_part
 from . import recipes
-from .batches import Batch, frames_in_order, windows_in_order
+from .batches import Batch, frames_in_order, scenes_with_glass, windows_in_order
 from .kept_maps import SLOW, KeptMaps
 from .loop import ENGINE, EVERY, Engine, Recipe, Step, fit, is_first, wait_for_all
 from .readers import RealFrames
@@ -114,6 +114,7 @@ def train(
     """
     if part not in PARTS:
         raise ValueError(f"unknown part {part!r}; choose one of {', '.join(PARTS)}")
+    engine.join()
     check_same_system(config, out)
     recipe = recipe or recipes.RECIPES[part]
     wanted = real is None or real.scene_share > 0
@@ -164,6 +165,7 @@ def train_on(
     Raises:
         ValueError: as :func:`train`, and for a checkpoint of another run in ``work``.
     """
+    engine.join()
     check_same_system(config, out)
     if start is not None:
         check_same_system(config, start, NETWORKS)
@@ -181,7 +183,8 @@ def train_on(
     pool = scenes if isinstance(scenes, Pool) else Pool(scenes)
     step, validate = assemble(part, parts, pool, held_out, config, recipe, boundary, seed)
     below = [read_card(out)["parts"][name]["sha256"] for name in needs(part, config)]
-    key = json.dumps([to_dict(config), checksum(*pool.groups), below, boundary, remarks], sort_keys=True)
+    drawn = [checksum(*pool.groups), pool.shares.tolist(), str(get_backend(boundary).fingerprint)]
+    key = json.dumps([to_dict(config), drawn, below, boundary, remarks], sort_keys=True)
     notes = fit(part, model, step, recipe, work, validate, every, seed, key=key, engine=engine)
     if part == "autoencoder":
         model.eval()
@@ -223,7 +226,8 @@ def parts_with(part: str, config: Config, out: Path | str, seed: int) -> nn.Modu
             parts[name].load_state_dict(load_part(name, out))
             parts[name].eval().requires_grad_(False)
     if part == "region" and config.region.colour == "pretrained":
-        parts["region"].encoder_rgb.encoder.load_state_dict(load_part(PRETRAINED, out))
+        encoder, trained = parts["region"].encoder_rgb.encoder, load_part(PRETRAINED, out)
+        encoder.load_state_dict({name: trained[name] for name in encoder.state_dict()})  # fewer levels, fewer stages
     return parts
 
 
@@ -355,12 +359,22 @@ def scene_errors(
         boundary: backend of the guides.
         seed: of the noise.
     """
+    found = np.full(len(scenes), np.nan)
+    asked = scenes_asking(branch, scenes, config)
     errors = []
-    for batch in held_out_batches(branch, scenes, config, boundary):
+    for batch in held_out_batches(branch, scenes, config, boundary) if asked else ():
         batch = batch if painter is None else batch.to(device_of(painter.net))
         decoded, paint = recipes.one_step(branch, painter, batch, config, seed)
         errors += root_mean_square(batch.relative_error(decoded), paint * batch.gt_known)
-    return np.array(errors)
+    found[asked] = errors
+    return found
+
+
+def scenes_asking(branch: str, scenes: Scenes, config: Config) -> list[int]:
+    """Return of which scenes a branch is shown something: the optical one sees windows around regions, if there are."""
+    if branch == "optical" and config.window:
+        return scenes_with_glass(scenes)
+    return list(range(len(scenes)))
 
 
 def validate_detail(
@@ -392,16 +406,14 @@ def sharpened_errors(
     """Return, per scene, the relative RMSE after the finer final step, the mean over the branches; NaN without any."""
     found = np.full((len(painters), len(scenes)), np.nan)
     for row, (branch, painter) in zip(found, painters.items(), strict=True):
-        asked = range(len(scenes))
-        if branch == "optical" and config.window:
-            asked = [i for i in asked if (scenes.material[i] > 0).any()]
+        asked = scenes_asking(branch, scenes, config)
         errors = []
-        for batch in held_out_batches(branch, scenes, config, boundary):
+        for batch in held_out_batches(branch, scenes, config, boundary) if asked else ():
             batch = batch.to(device_of(model))
             decoded, paint = recipes.one_step(branch, painter, batch, config)
             error = batch.relative_error(recipes.sharpened(model, decoded, batch, config))
             errors += root_mean_square(error, paint * batch.gt_known)
-        row[list(asked)] = errors
+        row[asked] = errors
     known = ~np.isnan(found)
     return np.where(known.any(0), np.where(known, found, 0).sum(0) / np.maximum(known.sum(0), 1), np.nan)
 

@@ -305,6 +305,16 @@ def test_bfloat16_computes_coarsely_and_keeps_the_weights_fine():
     assert sums[0] == pytest.approx(sums[1], abs=0.1)
 
 
+def test_float32_is_float32_whatever_the_launcher_was_asked_for(monkeypatch):
+    monkeypatch.setenv("ACCELERATE_MIXED_PRECISION", "bf16")
+    kinds = {}
+    for precision in ("no", "auto"):
+        model = without_dropout()
+        model[0].register_forward_hook(lambda module, given, out, p=precision: kinds.update({p: out.dtype}))
+        fit("part", model, score_in_steps(model), replace(RECIPE, steps=1), None, engine=Engine(precision=precision))
+    assert kinds == {"no": torch.float32, "auto": torch.bfloat16}
+
+
 def test_an_error_in_a_worker_is_told():
     def draw(step, share):
         raise ValueError("picture 7 is damaged")

@@ -8,10 +8,11 @@ import torch
 from made_scenes import make_scenes
 
 import ditr_lite as dl
+from ditr_lite import store
 from ditr_lite.config import Config, StdConfig, override, preset
 from ditr_lite.data import SAMPLES, Sample, read_sample, save_sample
 from ditr_lite.region import IGNORE
-from ditr_lite.store import copy_weights, load_part, read_card, read_config
+from ditr_lite.store import WEIGHTS, copy_weights, load_part, read_card, read_config
 from ditr_lite.training import parts as module
 from ditr_lite.training.batches import frames_in_order
 from ditr_lite.training.loop import Recipe
@@ -29,7 +30,7 @@ from ditr_lite.training.parts import (
     train,
     train_on,
 )
-from ditr_lite.training.scenes import load_scenes
+from ditr_lite.training.scenes import Pool, every, load_scenes
 
 TINY = preset("tiny")
 RECIPE = Recipe(steps=2, batch=2, lr=1e-3, warmup=1)
@@ -258,6 +259,33 @@ def test_errors_of_a_branch_are_those_of_its_own_pixels(branch, due, monkeypatch
     monkeypatch.setattr(module.recipes, "one_step", wrong_inside)
     found = scene_errors(branch, None, Config(), scenes)
     np.testing.assert_allclose(found, due, atol=1e-5)
+
+
+def test_stage_one_of_fewer_levels_takes_the_first_stages_of_the_pretrained_encoder(tmp_path):
+    config = override(preset("lite"), **{"region.levels": "4"})
+    store.copy_part("encoder", WEIGHTS, tmp_path, config)
+    found, whole = module.parts_with("region", config, tmp_path, 0)["region"], load_part("encoder", tmp_path)
+    here = found.encoder_rgb.encoder.state_dict()
+    assert 0 < len(here) < len(whole) and all(torch.equal(value, whole[name]) for name, value in here.items())
+
+
+def test_a_checkpoint_is_of_the_shares_at_which_scenes_are_drawn(data, tmp_path):
+    scenes = [load_scenes(data, limit=1), load_scenes(data, limit=2)]
+    how = (None, tmp_path / "weights", tmp_path / "work", RECIPE)
+    train_on("region", TINY, Pool(scenes, [1, 0]), *how)
+    with pytest.raises(ValueError, match="belongs to another run"):
+        train_on("region", TINY, Pool(scenes, [0, 1]), *how)
+
+
+def test_scenes_without_a_branch_s_pixels_keep_their_place(monkeypatch):
+    scenes = load_scenes(SAMPLES / "val", limit=4)
+    bare = np.where(scenes.material[1] > 0, 0, scenes.material[1])
+    bare[:3] = IGNORE  # as the padding of a frame, which is no glass
+    scenes.material[1] = bare
+    monkeypatch.setattr(module.recipes, "one_step", lambda branch, painter, batch, *_: (batch.gt_n, batch.region))
+    found = scene_errors("optical", None, Config(), scenes)
+    assert np.isnan(found).tolist() == [False, True, False, False]
+    assert np.isnan(scene_errors("optical", None, Config(), every(scenes, [1]))).tolist() == [True]
 
 
 def test_root_mean_squares_are_per_view_and_of_the_chosen_pixels():
