@@ -131,6 +131,8 @@ class UNetConfig:
 
     def __post_init__(self) -> None:
         _at_least(1, "unet", width=self.width, heads=self.heads, cond_channels=self.cond_channels)
+        if self.width % 2:  # half sines, half cosines of the step
+            raise ValueError(f"unet.width: expected an even number, got {self.width}")
         _at_most(WIDEST, "unet", width=self.width, heads=self.heads, cond_channels=self.cond_channels)
         _at_least(1, "unet.multipliers", levels=len(self.multipliers), smallest=min(self.multipliers, default=1))
 
@@ -152,9 +154,12 @@ class SamplerConfig:
     prediction: str = "x0"  # what the U-Net predicts: "x0" (the paper's x_theta, Eq. 9), "eps" or "v"
     steps: int = 1
     samples: int = 4
+    eta: float = 0.0  # noise that each step adds: 0 is DDIM, 1 with all steps the paper's DDPM (Sec. III)
 
     def __post_init__(self) -> None:
         _at_least(1, "sampler", steps=self.steps, samples=self.samples)
+        if not 0 <= self.eta <= 1:
+            raise ValueError(f"sampler.eta: expected a number from 0 to 1, got {self.eta}")
         if self.prediction not in PREDICTIONS:
             raise ValueError(f"unknown sampler.prediction {self.prediction!r}; choose one of {', '.join(PREDICTIONS)}")
 
@@ -251,7 +256,7 @@ PRESETS: dict[str, Config] = {
         autoencoder=AutoencoderConfig(latent_channels=3, codes=8192, width=128, multipliers=(2, 4), res_blocks=2),
         unet=UNetConfig(width=64, block="plain", cond_channels=64, heads=1, anchor=False, colour_channels=()),
         detail=DetailConfig(width=0),
-        sampler=SamplerConfig(prediction="x0", steps=1000, samples=1),
+        sampler=SamplerConfig(prediction="x0", steps=1000, samples=1, eta=1.0),
         evidence=False,
     ),
 }
@@ -268,16 +273,27 @@ def preset(name: str) -> Config:
     return PRESETS[name]
 
 
-def check_stage_one(threshold: float | None, refine: RefineConfig | None) -> None:
-    """Refuse what cannot be asked of stage one.
+def check_stage_one(threshold: float | None, refine: RefineConfig | None, own: RefineConfig) -> None:
+    """Refuse what cannot be asked of stage one in a call.
+
+    Args:
+        threshold: of the probability.
+        refine: for its kernels.
+        own: the system's; only with its threshold, temperature and looks, or with the defaults, is ``refine`` taken,
+            since it changes none of them.
 
     Raises:
-        ValueError: for a threshold that is no probability, or kernels of another kind.
+        ValueError: for a threshold that is no probability, kernels of another kind, or settings without effect.
     """
     if threshold is not None and not (isinstance(threshold, Real) and 0 < threshold < 1):
         raise ValueError(f"threshold: expected a probability between 0 and 1, got {threshold!r}")
     if refine is not None and not isinstance(refine, RefineConfig):
         raise ValueError(f"refine: expected a config.RefineConfig, got {refine!r}")
+    for name in ("threshold", "temperature", "looks"):
+        asked = None if refine is None else getattr(refine, name)
+        if asked not in (None, getattr(own, name), getattr(RefineConfig(), name)):
+            how = "give threshold=... beside it" if name == "threshold" else "build a Ditr whose configuration has it"
+            raise ValueError(f"refine is asked for its kernels alone, and its {name} {asked} would do nothing: {how}")
 
 
 def to_dict(config: Any) -> dict[str, Any]:

@@ -111,7 +111,8 @@ class Ditr:
         self.parts = parts.to(self.device, memory_format=torch.channels_last).eval().requires_grad_(False)
         self.schedule = make_schedule(config.schedule)
         self.backend = own_backend(boundary) if callable(boundary) else get_backend(boundary, boundary_path)
-        self.sampler = sampler if sampler is diffusion.sample else own_sampler(sampler)
+        shipped = partial(diffusion.sample, eta=config.sampler.eta)
+        self.sampler = shipped if sampler is diffusion.sample else own_sampler(sampler)
 
     @classmethod
     def from_pretrained(
@@ -180,7 +181,7 @@ class Ditr:
         samples = self.config.sampler.samples if samples is None else samples
         check_count("steps", steps, 1, self.config.schedule.timesteps)
         seed = check_count("seed", seed, 0, MAX_SEED)
-        check_stage_one(threshold, refine)
+        check_stage_one(threshold, refine, self.config.refine)
         rgb, depth, region = check_inputs(rgb, depth, region, samples)
         found = None
         if region is None:

@@ -20,8 +20,9 @@ STRIDE = 4  # pixels per latent cell and side (S5: sampling scale 4)
 
 
 def norm(channels: int) -> nn.GroupNorm:
-    """Return group normalisation over groups of 8 channels."""
-    return nn.GroupNorm(max(channels // 8, 1), channels)
+    """Return group normalisation over groups of 8 channels, or the next larger number that divides them equally."""
+    most = max(channels // 8, 1)
+    return nn.GroupNorm(next(groups for groups in range(most, 0, -1) if channels % groups == 0), channels)
 
 
 def sinusoid(position: Tensor, channels: int, longest: float) -> Tensor:

@@ -1,5 +1,7 @@
 """What callers hand to the system: numbers, arrays of any kind, and parts of their own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ditr_lite import diffusion
-from ditr_lite.config import preset
+from ditr_lite.config import RefineConfig, override, preset
 from ditr_lite.pipeline import Ditr, build
 from ditr_lite.units import MAX_SEED, check_inputs, check_unit, clean_depth, upsample_sparse
 
@@ -115,6 +117,27 @@ def test_a_boundary_of_ones_own_guides_the_system(parts):
 def test_a_boundary_of_another_shape_or_type_is_refused(parts, wrong):
     with pytest.raises(ValueError, match="boundary: expected .* bool of a picture"):
         Ditr(parts, TINY, boundary=wrong)(RGB, DEPTH, REGION, samples=1)
+
+
+def test_kernels_bring_no_threshold_or_looks_with_them(parts):
+    ditr = Ditr(parts, TINY)
+    own = TINY.refine
+    ditr(RGB, DEPTH, samples=1, refine=replace(own, median=0))  # the system's own
+    ditr(RGB, DEPTH, samples=1, refine=RefineConfig(0, 0, 0))  # the defaults, which nobody asked for
+    for name, value in {"threshold": 0.9, "temperature": 50.0, "looks": (2.0,)}.items():
+        with pytest.raises(ValueError, match=f"its {name} .* would do nothing"):
+            ditr(RGB, DEPTH, samples=1, refine=replace(own, **{name: value}))
+
+
+def test_the_sampler_adds_the_noise_of_its_setting(parts):
+    drawn = []
+    for eta in (0, 0, 1):
+        ditr = Ditr(parts, override(TINY, **{"sampler.eta": eta}))
+        how = {"generator": torch.Generator().manual_seed(0), "x_T": torch.ones(2, 1, 4, 4)}
+        drawn.append(ditr.sampler(lambda x, t: 0.5 * x, (2, 1, 4, 4), ditr.schedule, 3, "x0", **how))
+    assert torch.equal(drawn[0], drawn[1]) and not torch.equal(drawn[0], drawn[2])
+    with pytest.raises(ValueError, match="sampler.eta: expected a number from 0 to 1, got 2"):
+        override(TINY, **{"sampler.eta": 2})
 
 
 def test_a_sampler_of_ones_own_is_asked_for_every_latent(parts):

@@ -14,6 +14,7 @@ from ditr_lite.unet import (
     FeatureExtractor,
     Level,
     grid_code,
+    norm,
     sinusoid,
 )
 
@@ -278,3 +279,13 @@ def test_bad_inputs_are_refused(change):
         run(net, cond, inputs | change)
     with pytest.raises(ValueError, match="cond: expected"):
         net.features(cond[..., :-1])
+
+
+@pytest.mark.parametrize(("channels", "groups"), [(4, 1), (32, 4), (28, 2), (20, 2), (9, 1)])
+def test_groups_divide_the_channels_and_hold_eight_or_the_next_number_more(channels, groups):
+    assert norm(channels).num_groups == groups
+
+
+def test_a_step_is_written_in_pairs_of_sine_and_cosine():
+    with pytest.raises(ValueError, match="unet.width: expected an even number, got 9"):
+        replace(TINY, width=9)

@@ -15,8 +15,8 @@ from .statistics import format_interval, interval, mean_known, paired_bootstrap,
 Scores = list[float | None]
 
 
-# what a trained system can be asked to do otherwise: nothing that its weights were shaped by
-WORKING = ("sampler.steps", "sampler.samples", "window", "evidence")
+# what a trained system can be asked to do otherwise and still works, if not as well as one that was trained for it
+WORKING = ("sampler.steps", "sampler.samples", "sampler.eta", "window", "evidence")
 WORKING_GROUP = "refine."
 
 

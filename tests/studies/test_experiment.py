@@ -52,6 +52,7 @@ def result(folder):
         ({"unet.width": 16, "detail.width": 0}, ("optical", "geometric")),
         ({"region.width": 16}, ("region",)),
         ({"sampler.samples": 1}, ()),
+        ({"refine.looks": "1.5"}, ("region",)),
         ({"refine.median": 3, "evidence": "false"}, ("optical", "detail")),
     ],
 )
