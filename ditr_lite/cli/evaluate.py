@@ -22,6 +22,10 @@ from .shared import (
 )
 
 DATASETS = ("cleargrasp", "cleargrasp_synthetic", "todd", "std", "dreds", "trosd", "transcg", "folder")
+WITHOUT_PEERS = (  # what `bench --peers`, which scores nothing, would not look at
+    *("method", "no_cost", "split", "root", "limit", "given_region", "json"),
+    *("steps", "samples", "threshold", "refine", "weights"),
+)
 FEW = 6  # frames, below which an interval is not called one
 PROTOCOLS = ("cleargrasp", "lidf", "transparenet", "dfnet", "swindrnet", "d3roma", "marigold")
 
@@ -78,6 +82,7 @@ class Bench:
     def add_arguments(p: ArgumentParser) -> None:
         """Add what ``bench`` takes."""
         add_scenes(p)
+        p.set_defaults(split=None)  # so that it can be told whether it was given
         p.add_argument(
             "--method",
             action="append",
@@ -100,6 +105,8 @@ class Bench:
     def run(options: Namespace) -> None:
         """Print the tables."""
         if options.peers:
+            if given := [k for k in WITHOUT_PEERS if getattr(options, k)]:
+                raise ValueError(f"--peers only prints a committed table: leave out --{given[0].replace('_', '-')}")
             print(peer_table())
             return
         check_results(options.json)
@@ -258,11 +265,12 @@ def against_best(results: Sequence[dict], name: str, baselines: Sequence[str]) -
     lines = [f"RMSE of {name} minus that of the best baseline, mm: mean [95 % interval], paired over frames"]
     for key in COMPARED:
         rmse = {m: [(s := (r["methods"][m] or {}).get(key)) and s["rmse"] for r in results] for m in (name, *baselines)}
-        means = {m: mean_known(rmse[m]) for m in baselines}
-        means = {m: mean for m, mean in means.items() if mean is not None}
-        if not means or mean_known(rmse[name]) is None:
+        rmse = {m: values for m, values in rmse.items() if mean_known(values) is not None}
+        common = [row for row in zip(*rmse.values(), strict=True) if None not in row]  # a method may refuse hard frames
+        if not common or name not in rmse or len(rmse) == 1:
             continue
-        best = min(means, key=means.get)
+        rmse = dict(zip(rmse, zip(*common, strict=True), strict=True))
+        best = min((m for m in rmse if m != name), key=lambda m: mean_known(rmse[m]))
         interval = paired_bootstrap(rmse[name], rmse[best])
         lines.append(f"  {key}: {format_interval(interval, 1000, '+.1f')} against {best}")
     return "\n".join(lines)

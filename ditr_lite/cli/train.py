@@ -233,11 +233,10 @@ def own_frames(options: Namespace, part: str, config):
         )
     own = [load_scenes(folder, options.limit) for folder in options.data or []]
     own += real.scenes(part, config, real.split) if real else []
-    if options.val:
-        held_out = [load_scenes(folder) for folder in options.val]
-    elif real and (real.val_split or real.val_root):
-        held_out = list(real.held_out(part, config).values())
-    else:
+    held_out = [load_scenes(folder) for folder in options.val or []]
+    if real and (real.val_split or real.val_root):
+        held_out += real.held_out(part, config).values()
+    if not held_out:
         own, held_out = hold_out(own)
     share = 0.5 if options.scene_share is None else options.scene_share
     first = [load_scenes(SAMPLES / "train")] if share else []
@@ -331,7 +330,7 @@ def experiment(options: Namespace, settings: dict[str, str]) -> None:
     if options.every is not None:
         raise ValueError("--every is of a training that is resumed: a comparison of settings always runs to its end")
     asked = {"accumulate": 1, "workers": 0, "precision": "auto", "cpu": False, "cost": False, "zero_region": False}
-    asked |= dict.fromkeys(("root", "split", "val_split", "scene_share"))
+    asked |= dict.fromkeys(("root", "split", "val_split", "val_root", "depth_scale", "scene_share"))
     if given := [name for name, default in asked.items() if getattr(options, name) != default]:
         raise ValueError(f"a comparison of settings takes no --{given[0].replace('_', '-')}; training one --part does")
     for name in ("data", "val"):

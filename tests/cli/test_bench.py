@@ -33,3 +33,6 @@ def test_the_table_of_peers_is_printed_and_nothing_scored(capsys, monkeypatch):
     assert main(["bench", "--peers"]) == 0
     said = capsys.readouterr().out
     assert said == "the table\n\nCommand: python tools/peer_study.py, after python tools/train_peers.py\n"
+    for more in (["--json", "x.json"], ["--split", "rooms"], ["--no-cost"]):
+        assert main(["bench", "--peers", *more]) == 2
+        assert f"leave out {more[0]}" in capsys.readouterr().err

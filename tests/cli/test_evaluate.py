@@ -96,6 +96,17 @@ def test_a_method_is_compared_with_the_best_baseline_of_each_set():
     assert "optical: +10.0 [+10.0, +10.0] against good" in text and "bad" not in text
 
 
+def test_the_best_baseline_is_that_of_the_frames_which_all_complete():
+    def frame(**rmse):
+        scores = {m: v and {"optical": {"rmse": v}, "optical_valid": None, "geometric": None} for m, v in rmse.items()}
+        return {"methods": scores}
+
+    results = [frame(mine=0.01, lazy=0.012, best=0.008), frame(mine=0.10, lazy=None, best=0.09)]
+    assert "+2.0 [+2.0, +2.0] against best" in evaluate.against_best(results, "mine", ("lazy", "best"))
+    apart = [frame(mine=None, lazy=0.012), frame(mine=0.1, lazy=None)]
+    assert "against" not in evaluate.against_best(apart, "mine", ("lazy",))
+
+
 def test_an_interval_of_few_frames_is_not_called_one(capsys):
     evaluate.say_if_few(6)
     assert not capsys.readouterr().out

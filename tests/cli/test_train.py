@@ -131,7 +131,17 @@ def test_checkpoints_come_as_often_as_they_are_asked_for(weights, scenes, tmp_pa
     assert "--every is of a training" in refused([*argv, "--preset", "tiny", "--set", "unet.heads=1"], capsys)
 
 
-@pytest.mark.parametrize("more", [["--cost"], ["--precision", "bf16"], ["--scene-share", "0.5"], ["--zero-region"]])
+@pytest.mark.parametrize(
+    "more",
+    [
+        ["--cost"],
+        ["--precision", "bf16"],
+        ["--scene-share", "0.5"],
+        ["--zero-region"],
+        ["--val-root", "elsewhere"],
+        ["--depth-scale", "0.5"],
+    ],
+)
 def test_what_a_comparison_of_settings_does_not_do_is_refused(more, capsys):
     reason = refused(["train", *TINY, "--set", "unet.heads=1", *more], capsys)
     assert reason.startswith(f"a comparison of settings takes no {more[0]}; ")
