@@ -152,7 +152,7 @@ def level(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> Tensor 
 
     Args:
         painted: (H, W) metres, dense.
-        depth: (H, W) raw metres, 0 = missing; readings that are :func:`strays` do not count.
+        depth: (H, W) raw metres, 0 = missing; readings that are :func:`units.strays` do not count.
         region: (H, W) bool, whose readings do not count either.
 
     Returns:

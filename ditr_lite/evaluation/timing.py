@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ import torch
 from torch import Tensor, nn
 from tqdm.auto import tqdm
 
+from .. import baselines
 from ..conditioning import CHANNELS, condition
 from ..data import SAMPLES, Sample
 from ..pipeline import Ditr
@@ -188,7 +190,8 @@ def views_of(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray)
     guides = Plan().guides
     found = {"geometric": ditr.look(whole, guides[1], False)[0]}
     side = ditr.config.window
-    close = [shown for *_, shown in close_ups(rgb, depth, region, side, depth)] if side else whole
+    spare = partial(baselines.nearest, rgb, depth)  # in place of what the geometric branch paints; rarely asked for
+    close = [shown for *_, shown in close_ups(rgb, depth, region, side, spare)] if side else whole
     if close:
         found["optical"] = ditr.look(close, guides[0], bool(side))[0]
     return found
@@ -213,7 +216,7 @@ def decoded_of(painter: Painter, views: Views, latents: Tensor) -> Tensor:
 
 
 def format_latency(rows: list[dict[str, Any]]) -> str:
-    """Return :func:`measure`'s rows as a text table, with peak memory where the rows hold it."""
+    """Return :func:`time_stages`'s rows as a text table, with peak memory where the rows hold it."""
     width = max(len(row["stage"]) for row in rows)
     heads = ["ms", "GFLOPs"] + ["peak MB"] * ("peak_mb" in rows[0])
     lines = ["stage".ljust(width) + "".join(head.rjust(10) for head in heads)]

@@ -187,7 +187,7 @@ def breakdown(scores: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, list[f
 
 
 def format_swaps(report: Mapping[str, Mapping[str, Any]], sets: Sequence[str] = ("optical", "geometric")) -> str:
-    """Return :func:`summary`'s result as text: RMSE in mm, and the difference with its interval."""
+    """Return :func:`summarise_swaps`'s result as text: RMSE in mm, and the difference with its interval."""
     width = max(len(name) for name in report)
     lines = [" " * width + "".join(f"{key + ' mm':>13}  {'minus':>6} [95 % interval]" for key in sets)]
     for name, row in report.items():

@@ -50,6 +50,14 @@ def test_without_a_region_the_optical_branch_costs_nothing(frame, monkeypatch):
     assert stages["stage two: optical branch"]() is None and len(stages["decoder and detail"]()) == 1
 
 
+def test_a_window_without_a_reading_is_measured_as_it_is_completed(frame):
+    depth, region = frame.depth.copy(), np.zeros(SHAPE, bool)
+    depth[8:58, 20:76], region[30:34, 46:50] = 0, True
+    ditr = tiny(window=64)
+    assert set(timing.views_of(ditr, frame.rgb, depth, region)) == {"geometric", "optical"}
+    assert ditr(frame.rgb, depth, region).depth.all()
+
+
 def test_the_machine_is_described_by_what_it_can_do():
     found = timing.machine()
     assert found["cores"] >= 1 and found["torch"] == torch.__version__ and found["product_ms"] > 1
