@@ -46,7 +46,7 @@ def edge_agreement(m_rgb: np.ndarray, m_d: np.ndarray, shifts: Sequence[int]) ->
     if not m_d.any() or not m_rgb.any():
         return np.zeros(len(shifts))
     away = distance_transform_edt(~m_rgb)
-    return np.array([(away[np.roll(m_d, shift, axis=1)] <= NEAR).mean() for shift in shifts])
+    return np.array([(away[moved_sideways(m_d, shift)] <= NEAR).sum() for shift in shifts]) / m_d.sum()
 
 
 def aligned_by_edges(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray, reach: int) -> np.ndarray:
@@ -54,7 +54,15 @@ def aligned_by_edges(ditr: Ditr, rgb: np.ndarray, depth: np.ndarray, reach: int)
     m_rgb, m_d, _ = boundary_maps(rgb, depth, ditr.backend)
     shifts = np.arange(-reach, reach + 1)
     best = int(shifts[edge_agreement(m_rgb, m_d, shifts).argmax()])
-    return np.roll(depth, best, axis=1)
+    return moved_sideways(depth, best)
+
+
+def moved_sideways(image: np.ndarray, by: int) -> np.ndarray:
+    """Return an image (H, W) moved ``by`` pixels to the right; 0 comes in, and what leaves is lost."""
+    moved = np.zeros_like(image)
+    width = image.shape[1]
+    moved[:, max(by, 0) : width + min(by, 0)] = image[:, max(-by, 0) : width - max(by, 0)]
+    return moved
 
 
 def completed_as_crop(ditr: Ditr, sample: Sample) -> np.ndarray:
@@ -66,7 +74,7 @@ def completed_as_crop(ditr: Ditr, sample: Sample) -> np.ndarray:
 
 
 def _shifted(sample: Sample) -> np.ndarray:
-    return np.roll(sample.depth, round(SHIFT * sample.depth.shape[1]), axis=1)
+    return moved_sideways(sample.depth, round(SHIFT * sample.depth.shape[1]))
 
 
 def _aligned(ditr: Ditr, sample: Sample) -> np.ndarray:

@@ -51,10 +51,17 @@ def test_the_edge_meter_peaks_where_depth_is_aligned(shift):
     m_rgb = np.zeros((20, 60), bool)
     m_rgb[:, [10, 33]] = True
     shifts = np.arange(-8, 9)
-    found = remedies.edge_agreement(m_rgb, np.roll(m_rgb, -shift, axis=1), shifts)
+    found = remedies.edge_agreement(m_rgb, remedies.moved_sideways(m_rgb, -shift), shifts)
     peak = shifts[found == found.max()]
     assert found.max() == 1 and peak.tolist() == list(range(shift - 2, shift + 3))  # it forgives two pixels
     assert not remedies.edge_agreement(m_rgb, np.zeros_like(m_rgb), shifts).any()
+
+
+def test_what_is_moved_out_of_the_picture_does_not_come_back():
+    image = np.arange(1, 9).reshape(2, 4)
+    assert remedies.moved_sideways(image, 1).tolist() == [[0, 1, 2, 3], [0, 5, 6, 7]]
+    assert remedies.moved_sideways(image, -3).tolist() == [[4, 0, 0, 0], [8, 0, 0, 0]]
+    assert np.array_equal(remedies.moved_sideways(image, 0), image)
 
 
 def test_the_verdict_is_that_of_the_interval():
