@@ -33,7 +33,8 @@ class Preset:
         fov_deg: horizontal field of view of the depth camera.
         aspect: width over height of the picture that this field of view belongs to.
         baseline_m: between the two infrared cameras, or between camera and projector; 0 for time of flight.
-        offset_m: from the colour camera to the (left) infrared camera.
+        offset_m: where the (left) infrared camera is, seen from the colour camera; to the right is positive. The D400
+            cameras have both infrared ones on the right; of the others the side is our choice.
         range_m: nearest and farthest reading.
         matcher: of the two triangulating principles.
         dots: share of the pattern's pixels that are dots.
@@ -92,7 +93,7 @@ PRESETS = {
         fov_deg=70.0,
         aspect=4 / 3,
         baseline_m=0.0,
-        offset_m=0.014,
+        offset_m=-0.014,
         range_m=(0.25, 9.0),
         signature="no stereo shadow; glass reads as what is behind it and a little farther; points fly at edges",
     ),
@@ -102,7 +103,7 @@ PRESETS = {
         fov_deg=58.0,
         aspect=4 / 3,
         baseline_m=0.075,
-        offset_m=0.030,
+        offset_m=-0.030,
         range_m=(0.40, 3.5),
         matcher=Matcher(block=9, uniqueness=8, speckle=300, texture=8.0, edge=1, holes=0.01, noise=2.0),
         dots=0.06,
@@ -133,11 +134,13 @@ def rig(kind: Preset, size: tuple[int, int]) -> tuple[Camera, Stereo]:
     focal = height * COLOUR_ASPECT / 2 / math.tan(math.radians(COLOUR_FOV_DEG) / 2)
     camera = Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
     own = kind.focal_px(height)
-    wide = 2 * round(own * (width / focal / 2 + (kind.offset_m + kind.baseline_m) / kind.range_m[0] / 2)) + 16
+    apart = (abs(kind.offset_m) + kind.baseline_m) / kind.range_m[0]  # how far the views lie apart, at the nearest
+    margin = apart if kind.offset_m > 0 else apart / 2  # all on one side, or half on either
+    wide = 2 * round(own * (width / focal / 2 + margin)) + 16
     high = 2 * round(own * height / focal / 2) + 16
     depth_camera = Camera(own, own, (wide - 1) / 2, (high - 1) / 2, wide, high)
     motion = np.eye(4)
-    motion[0, 3] = -kind.offset_m
+    motion[0, 3] = kind.offset_m
     return camera, Stereo(depth_camera, kind.baseline_m, tuple(map(tuple, motion.tolist())))
 
 

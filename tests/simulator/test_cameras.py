@@ -53,11 +53,11 @@ def test_the_depth_picture_covers_the_colour_view_from_the_nearest_reading_on(na
         for u in (0, 255):
             for v in (0, 191):
                 x, y = (u - camera.cx) * z / camera.fx, (v - camera.cy) * z / camera.fy
-                for offset in (kind.offset_m, kind.offset_m - kind.baseline_m):  # from either infrared camera
-                    column = stereo.camera.fx * (x + offset) / z + stereo.camera.cx
+                for place in (kind.offset_m, kind.offset_m + kind.baseline_m):  # of either infrared camera
+                    column = stereo.camera.fx * (x - place) / z + stereo.camera.cx
                     row = stereo.camera.fy * y / z + stereo.camera.cy
                     assert 0 <= column <= stereo.camera.width - 1 and 0 <= row <= stereo.camera.height - 1
-    assert -stereo.motion()[0, 3] == kind.offset_m and stereo.baseline_m == kind.baseline_m
+    assert stereo.motion()[0, 3] == kind.offset_m and stereo.baseline_m == kind.baseline_m
 
 
 @pytest.mark.parametrize("name", sensors.PRESETS)
