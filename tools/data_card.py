@@ -16,7 +16,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ditr_lite import baselines, viz
-from ditr_lite.data import OPAQUE, REFLECTIVE, ROOM_SPLITS, SAMPLES, SPLITS, TRANSPARENT, Sample, read_sample
+from ditr_lite.data import (
+    OPAQUE,
+    REFLECTIVE,
+    ROOM_SPLITS,
+    SAMPLES,
+    SPLITS,
+    TRANSPARENT,
+    Sample,
+    read_sample,
+    sample_folders,
+)
 from ditr_lite.datasets import ClearGrasp
 from ditr_lite.loss_types import Cause, LossType
 from ditr_lite.simulator import realism, rooms, simulate, textures
@@ -30,7 +40,7 @@ KINDS = {"opaque": OPAQUE, "transparent": TRANSPARENT, "reflective": REFLECTIVE}
 
 def read_all(folder: Path) -> list[Sample]:
     """Return all samples of a folder, by name."""
-    return [read_sample(path.parent) for path in sorted(folder.glob("*/meta.json"))]
+    return [read_sample(path) for path in sample_folders(folder)]
 
 
 def table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -377,7 +387,8 @@ larger there because what one sees through glass may be a wall metres behind.
 ### Table tops
 
 Training and validation scenes share shapes and materials. In the test split no transparent or reflective thing has
-a shape that they have; opaque things, tables, walls, light, cameras and sensor settings are drawn alike. Cameras and
+a shape that they have; tables, walls, light, cameras and sensor settings are drawn alike, and opaque things but for
+their size: all things of a test scene are sized from 0.05 to 0.14 of its distance, elsewhere from 0.035. Cameras and
 sensor settings follow from the seed alone, so scenes of one seed share them in all three splits.
 
 {families}

@@ -10,33 +10,19 @@ from typing import Any
 
 import numpy as np
 
+from .scenes import VESSELS, smoothed
+
 SEGMENTS = 96, 48  # of a full turn: facets of about two pixels on a vessel that fills the picture, and on smaller ones
-# As scenes.VESSELS, and with shapes that look like what stands on real tables.
-OUTLINES = {
-    "tumbler": [(0, 0), (0.30, 0), (0.33, 0.5), (0.37, 1)],
+OUTLINES = VESSELS | {  # and shapes that look like what stands on real tables
     "straight_glass": [(0, 0), (0.27, 0), (0.28, 0.5), (0.29, 1)],
     "shot_glass": [(0, 0), (0.36, 0), (0.42, 0.5), (0.48, 1)],
     "beer_glass": [(0, 0), (0.17, 0), (0.19, 0.3), (0.24, 0.75), (0.22, 1)],
-    "bottle": [(0, 0), (0.22, 0), (0.22, 0.55), (0.17, 0.68), (0.08, 0.78), (0.08, 1)],
     "pet_bottle": [
-        (0, 0),
-        (0.17, 0.0),
-        (0.18, 0.05),
-        (0.18, 0.3),
-        (0.155, 0.4),
-        (0.18, 0.5),
-        (0.17, 0.7),
-        (0.07, 0.9),
-        (0.07, 1),
+        *((0, 0), (0.17, 0.0), (0.18, 0.05), (0.18, 0.3), (0.155, 0.4), (0.18, 0.5)),
+        *((0.17, 0.7), (0.07, 0.9), (0.07, 1)),
     ],
-    "jar": [(0, 0), (0.42, 0.02), (0.46, 0.1), (0.46, 0.75), (0.36, 0.86), (0.36, 1)],
-    "vase": [(0, 0), (0.20, 0), (0.30, 0.35), (0.14, 0.75), (0.20, 1)],
-    "bowl": [(0, 0), (0.45, 0), (0.85, 0.35), (1.05, 1)],
     "dish": [(0, 0), (0.9, 0), (1.6, 0.4), (2.1, 1)],
     "flute": [(0, 0), (0.16, 0), (0.03, 0.04), (0.02, 0.33), (0.12, 0.5), (0.14, 0.75), (0.13, 1)],
-    "wine_glass": [(0, 0), (0.28, 0), (0.03, 0.06), (0.03, 0.4), (0.25, 0.6), (0.28, 0.8), (0.22, 1)],
-    "goblet": [(0, 0), (0.30, 0.0), (0.08, 0.15), (0.10, 0.35), (0.40, 0.55), (0.44, 1)],
-    "flask": [(0, 0), (0.42, 0), (0.42, 0.08), (0.12, 0.66), (0.12, 1)],
     "carafe": [(0, 0), (0.34, 0), (0.36, 0.3), (0.14, 0.62), (0.14, 0.85), (0.22, 1)],
 }
 SLENDER = ("bottle", "pet_bottle", "flask", "carafe")  # have a neck that a cap closes
@@ -46,9 +32,7 @@ def vessel(rng: np.random.Generator, family: str, wall: float, close: bool = Tru
     """Draw a form of a family: widths 0.78 to 1.3 times its own, corners cut, a square or fluted body at times."""
     points = np.array(OUTLINES[family], dtype=float) - (0, 0.5)
     points[:, 0] *= rng.uniform(0.85, 1.2) * (1 + rng.uniform(-0.08, 0.08, len(points)))
-    for _ in range(2):  # Chaikin: replace every inner corner by points at 1/4 and 3/4 of its edges
-        cut = np.stack([0.75 * points[:-1] + 0.25 * points[1:], 0.25 * points[:-1] + 0.75 * points[1:]], axis=1)
-        points = np.concatenate([points[:1], cut.reshape(-1, 2), points[-1:]])
+    points = smoothed(points)
     if family == "pet_bottle" and rng.random() < 0.7:
         points = _waved(points, int(rng.integers(6, 14)), rng.uniform(0.01, 0.03))
     square = (

@@ -75,8 +75,6 @@ def room_scene(seed: int, split: str = "rooms_train") -> Scene:
     target[2] = rng.uniform(0.1, 0.6) * view.size * view.distance
     eye = target + view.distance * np.array([0, -np.cos(view.elevation), np.sin(view.elevation)])
     support = SUPPORTS[view.place](rng, view)
-    if support.floor < 0 and support.floor + eye[2] < 0.2:  # never below the floor
-        support.floor = min(support.floor, -0.3)
     parts = support.parts + _room(rng, view, support)
     things = [thing for group in _place(rng, view, support) for thing in group]
     names = textures.HELD_OUT_SURROUNDINGS if view.held_out else textures.SURROUNDINGS
@@ -257,6 +255,7 @@ def _landscape(rng, view: Framing) -> Support:
         eye = rng.uniform(0.6, 1.6)
         half = np.array([0.5, 0.3]) * view.distance
         floor = -eye + view.distance * np.sin(view.elevation)
+        # What stands there stands at height 0, so over a lower floor it floats: see the data card
         return Support(half, np.zeros(2), 0.0 if floor > -0.15 else floor)
     support = _table(rng, view)
     half, centre = support.half / 0.92, support.centre

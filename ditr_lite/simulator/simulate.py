@@ -185,9 +185,10 @@ def simulate_many(
 ) -> list[Path]:
     """Render ``count`` scenes into ``root/split/``; scenes that are already there are kept, so a stopped run resumes.
 
-    Scenes in which nothing transparent or reflective is in view (below 0.5 % of the image), or in which the sensor
-    reads less than a quarter of the pixels, are skipped by moving on to the next seed; which those are depends on the
-    seeds alone, so the set is the same however it was made. A set holds one sensor's scenes only.
+    Scenes in which too little transparent or reflective is in view (below 0.5 % of the image; in rooms 0.2 %, unless
+    they are meant to show none), in which the sensor reads less than a quarter of the pixels or, in rooms, in which
+    truth is known of too few or nearly all is too near, are skipped by moving on to the next seed. Which those are
+    depends on seeds and sensor alone, so the set is the same however it was made. It holds one sensor's scenes only.
 
     Args:
         root: output folder.

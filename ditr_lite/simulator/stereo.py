@@ -137,7 +137,8 @@ def _subpixel(left: np.ndarray, right: np.ndarray, disparity: np.ndarray, window
 def depth_jumps(depth: np.ndarray, reach: int) -> np.ndarray:
     """Return (h, w) bool, True within ``reach`` pixels of a depth jump, however much a plane slants.
 
-    Inverse depth is linear over the picture of a plane: its second difference tells jumps from slopes.
+    Marked is only what has readings ``reach`` pixels away on both sides: beside a hole, none. Inverse depth
+    is linear over the picture of a plane: its second difference tells jumps from slopes.
     """
     inverse = np.where(depth > 0, 1 / np.maximum(depth, 1e-3), np.nan)
     limit = (0.04 + 0.02 * depth) * inverse
