@@ -12,6 +12,13 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 
+def wheel(folder, name, *needs):
+    """Write a wheel of nothing that needs other packages."""
+    lines = ["Metadata-Version: 2.1", f"Name: {name}", "Version: 1", *(f"Requires-Dist: {need}" for need in needs)]
+    with zipfile.ZipFile(folder / f"{name}-1-py3-none-any.whl", "w") as archive:
+        archive.writestr(f"{name}-1.dist-info/METADATA", "\n".join(lines) + "\n")
+
+
 @pytest.fixture
 def packed(monkeypatch, tmp_path):
     """Return a function that packs a kit of a small repository; packages are not fetched but named in files."""
@@ -25,8 +32,8 @@ def packed(monkeypatch, tmp_path):
     asked = []
 
     def run(command, check):
-        asked.append((command, Path(command[-1]).read_text()))
-        Path(command[command.index("--dest") + 1], "numpy-1.whl").write_bytes(b"wheel")
+        asked.append((command, Path(command[command.index("-r") + 1]).read_text()))
+        wheel(Path(command[command.index("--dest") + 1]), "numpy")
 
     monkeypatch.setattr(kit.subprocess, "run", run)
 
@@ -41,7 +48,13 @@ def packed(monkeypatch, tmp_path):
 def test_the_kit_holds_all_that_it_needs(packed, capsys):
     archive, (command, wanted) = packed()
     names = {name.removeprefix(f"{kit.TOP}/") for name in archive.namelist()}
-    assert names == {"README.txt", "install.py", "wheels/numpy-1.whl", "ditr_lite/tasks.py", "slides/00.html"}
+    assert names == {
+        "README.txt",
+        "install.py",
+        "wheels/numpy-1-py3-none-any.whl",
+        "ditr_lite/tasks.py",
+        "slides/00.html",
+    }
     assert "# environment-class.txt" in wanted and "-e ." not in wanted and "setuptools" in wanted
     assert "without the book" in capsys.readouterr().out and "--platform" not in command
     assert '"class"' in archive.read(f"{kit.TOP}/install.py").decode()
@@ -53,6 +66,35 @@ def test_a_kit_for_another_system_and_the_full_set(packed):
     assert "# environment.txt" in wanted
     installer = archive.read(f"{kit.TOP}/install.py").decode()
     assert "(3, 12)" in installer and '"setup"' in installer
+
+
+def test_a_kit_holds_what_only_the_other_system_needs(tmp_path, monkeypatch):
+    needs = (
+        'on_windows>=2; sys_platform == "win32"',
+        'on_linux; sys_platform == "linux"',
+        "always",
+        'more; extra == "x"',
+    )
+    wheel(tmp_path, "first", *needs)
+    wheel(tmp_path, "always", "First")
+    assert kit.still_missing(tmp_path, ("win_amd64", "3.12")) == ["on_windows>=2"]
+    assert kit.still_missing(tmp_path, ("manylinux_2_28_x86_64", "3.12")) == ["on_linux"]
+    fetched = []
+
+    def run(command, check):
+        fetched.append(command[-1])
+        wheel(tmp_path, "on_windows" if len(fetched) > 1 else "third", 'old; python_version < "3.11"')
+
+    monkeypatch.setattr(kit.subprocess, "run", run)
+    (tmp_path / "list.txt").write_text("first\n")
+    kit.download(tmp_path / "list.txt", tmp_path, ("win_amd64", "3.12"))
+    assert fetched[1:] == ["on_windows>=2"]
+
+
+def test_an_unknown_platform_is_refused_before_anything_is_fetched(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(kit.subprocess, "run", None)
+    assert kit.main(["--for", "amiga", "3.12", "--out", str(tmp_path / "kit.zip")]) == 1
+    assert "expected a platform that begins with win, macosx" in capsys.readouterr().err
 
 
 def test_the_installer_asks_no_network_and_refuses_another_python(packed, monkeypatch, tmp_path):

@@ -18,11 +18,22 @@ import sys
 import tarfile
 import tempfile
 import zipfile
+from email.parser import BytesParser
 from pathlib import Path
+
+from packaging.markers import default_environment
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name, parse_wheel_filename
 
 ROOT = Path(__file__).resolve().parents[1]
 TOP = "ditr_lite_offline"
 PAGES = ("book", "slides")
+SYSTEMS = {  # how pip's names of platforms begin -> os.name, sys.platform, platform.system()
+    "win": ("nt", "win32", "Windows"),
+    "macosx": ("posix", "darwin", "Darwin"),
+    "manylinux": ("posix", "linux", "Linux"),
+    "linux": ("posix", "linux", "Linux"),
+}
 INSTALL = '''"""Install ditr_lite from this folder, without a network, into ditr_lite/.venv: python install.py"""
 
 import os
@@ -63,12 +74,48 @@ def download(requirements: Path, folder: Path, target: tuple[str, str] | None) -
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--only-binary=:all:"]
     if target:
         command += ["--platform", target[0], "--python-version", target[1]]
+    asked = ["-r", str(wanted)]
     try:
-        subprocess.run([*command, "--dest", str(folder), "-r", str(wanted)], check=True)
+        while asked:
+            subprocess.run([*command, "--dest", str(folder), *asked], check=True)
+            asked = still_missing(folder, target) if target else []
     except subprocess.CalledProcessError as error:
         raise OSError(f"pip could not fetch all packages (exit code {error.returncode})") from None
     finally:
         wanted.unlink()
+
+
+def system_of(name: str) -> tuple[str, str, str]:
+    """Return os.name, sys.platform and platform.system() of one of pip's platforms, such as win_amd64.
+
+    Raises:
+        ValueError: for an unknown one.
+    """
+    for begin, system in SYSTEMS.items():
+        if name.startswith(begin):
+            return system
+    raise ValueError(f"--for: expected a platform that begins with {', '.join(SYSTEMS)}, got {name!r}")
+
+
+def still_missing(folder: Path, target: tuple[str, str]) -> list[str]:
+    """Return what the wheels of a folder need on another system and is not there.
+
+    pip asks the system that it runs on what a package needs: a kit for Windows would lack what only Windows needs.
+    """
+    system = system_of(target[0])
+    there = default_environment() | dict(zip(("os_name", "sys_platform", "platform_system"), system, strict=True))
+    there |= {"python_version": target[1], "python_full_version": f"{target[1]}.0", "extra": ""}
+    wheels = {parse_wheel_filename(path.name)[0]: path for path in folder.glob("*.whl")}
+    missing = {}
+    for path in wheels.values():
+        with zipfile.ZipFile(path) as archive:
+            name = next(name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+            needs = BytesParser().parsebytes(archive.read(name)).get_all("Requires-Dist", [])
+        for need in map(Requirement, needs):
+            here = need.marker is None or need.marker.evaluate(there)
+            if here and canonicalize_name(need.name) not in wheels:
+                missing[canonicalize_name(need.name)] = f"{need.name}{need.specifier}"
+    return sorted(missing.values())
 
 
 def repository(folder: Path) -> None:
@@ -108,7 +155,10 @@ def build(target: Path, full: bool, foreign: tuple[str, str] | None) -> None:
 
     Raises:
         OSError: when a package or the repository cannot be had.
+        ValueError: for an unknown platform.
     """
+    if foreign:
+        system_of(foreign[0])  # before anything is fetched
     version = foreign[1] if foreign else f"{sys.version_info.major}.{sys.version_info.minor}"
     words = {
         "version": version,
