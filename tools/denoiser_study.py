@@ -50,6 +50,7 @@ def main() -> None:
     print(denoisers.format_denoisers(report))
     asked = ["--minutes", args.minutes]  # where files lie decides nothing
     asked += ["--only", *args.only] if args.only else []
+    asked += ["--limit", args.limit] if args.limit else []
     asked += ["--seed", args.seed] if args.seed else []
     command = results.tool_command("denoiser_study", asked)
     results.write(args.json, results.head(command, parts=["autoencoder", "encoder"]), report)

@@ -112,9 +112,9 @@ T4 | done | 08_ablations | 2 · Climb the paper's ladder: BB, +DP, +RR
 studies.swaps.Swapped | studies/test_swaps.py::test_regions_are_what_they_are_called
 ablation: backbone, depth partition, region refinement
 
-T5 | done | 07_metrics | 7 · Audit the paper's tables
-paper.audit.rank_orders | paper/test_audit.py::test_six_orders_of_table_5
-error breakdown, geometric and optical
+T5 | done | 08_ablations | Table V, ours beside the paper's
+studies.swaps.beside_table_v | studies/test_swaps.py::test_the_breakdown_stands_beside_both_readings_of_table_v
+error breakdown, geometric and optical; the order of its columns is audited in 07
 
 T6 | done | 04_ddpm_math | Appendix · What the paper's sizes cost
 evaluation.costs.beside_table_vi | evaluation/test_costs.py::test_table_vi_cannot_hold
@@ -172,9 +172,9 @@ F11 | done | 09_your_own_camera | 10 · The public datasets, without a download
 datasets.STD | datasets/test_export.py::test_a_round_trip_keeps_all_that_the_format_holds
 qualitative results (STD); likewise
 
-F12 | done | 09_your_own_camera | 9 · Four cameras, one scene
+F12 | done | 09_your_own_camera | 10 · The public datasets, without a download
 datasets.TROSD | datasets/test_datasets.py::test_every_reader
-generalisation on TROSD; our scenes under four simulated cameras
+generalisation on TROSD; its layout read, and our scenes under four simulated cameras (section 9)
 
 F13 | done | 08_ablations | The worst ten
 studies.failures.worst | studies/test_failures.py::test_the_worst_come_first

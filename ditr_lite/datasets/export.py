@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from ..camera import Camera
-from ..data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample
+from ..data import OPAQUE, REFLECTIVE, TRANSPARENT, Sample, lossy
 from ..files import write_exr, write_picture, written_whole
 from ..units import depth_to_png
 from .dreds import BACKGROUND
@@ -182,7 +182,7 @@ WRITERS: dict[str, Callable[[Path, str, int, Sample], None]] = {
 
 
 def _region(sample: Sample) -> np.ndarray:
-    return sample.material != OPAQUE
+    return lossy(sample.material)
 
 
 def _ids(sample: Sample) -> np.ndarray:

@@ -36,6 +36,7 @@ class TODD(FrameFolder):
         instances = red(stem / "instance_segment.png")
         ignored = instances == self.ignored
         region = (instances > 0) & ~ignored
+        height, width = instances.shape
         truth = read_depth(stem / "detph_GroundTruth.exr")  # the dataset's own spelling
         return Sample(
             name=name,
@@ -43,7 +44,7 @@ class TODD(FrameFolder):
             depth=read_depth(stem / "depth.exr", allow_empty=True),
             depth_gt=np.where(ignored, np.float32(0), truth),
             region=region,
-            camera=Camera(613.962, 613.756, 324.447, 239.171, 640, 480),
+            camera=Camera(613.962, 613.756, 324.447, 239.171, 640, 480).resized(width, height),
             material=np.select([ignored, region], [IGNORE, TRANSPARENT], OPAQUE).astype(np.uint8),
             instances=np.where(region, instances // 10, 0).astype(np.uint8),
             meta={"dataset": "TODD"},

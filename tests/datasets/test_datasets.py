@@ -325,5 +325,6 @@ def test_what_todd_asks_to_ignore_is_neither_glass_nor_opaque(tmp_path):
     make_todd(tmp_path / "train" / "train" / "1622.5")
     sample = datasets.TODD(tmp_path, "train")[0]
     assert (sample.material[-1] == IGNORE).all() and not sample.region[-1].any() and not sample.depth_gt[-1].any()
+    assert (sample.camera.width, sample.camera.height) == SHAPE[::-1]
     dl.save_sample(sample, tmp_path / "kept")
     assert np.array_equal(dl.read_sample(tmp_path / "kept").region, sample.region)
