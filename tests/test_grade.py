@@ -120,8 +120,28 @@ def test_a_function_that_is_not_there_and_one_in_a_cell_of_the_student(tmp_path)
     assert [task.exercise for task in missing] == ["rmse"]
     sources = [cell.source for cell in prepared.cells]
     assert sources.index("_ = checks.check_unproject(unproject)") == sources.index(RIGHT["unproject"]) + 1
+    assert {task.level for task in tasks} == {1, 2, 3}
     whole, _ = grade.with_our_checkers(notebook, tasks, whole=True)
     assert len(prepared.cells) < len(whole.cells)
+
+
+def test_an_interruption_keeps_what_was_graded_and_a_place_that_is_none_is_refused_first(tmp_path, monkeypatch, capsys):
+    hand_in(tmp_path / "submitted", a=new_notebook(), b=new_notebook())
+    asked = []
+
+    def one(path, *_):
+        asked.append(path)
+        if len(asked) > 1:
+            raise KeyboardInterrupt
+        return [grade.Row("a", NAME, "f", "f", "right", "", 1)]
+
+    monkeypatch.setattr(grade, "grade", one)
+    assert grade.main([str(tmp_path / "submitted"), "--csv", str(tmp_path / "g.csv")]) == 130
+    assert "interrupted; what was graded is in" in capsys.readouterr().err
+    assert len((tmp_path / "g.csv").read_text(encoding="utf-8-sig").splitlines()) == 2
+    asked.clear()
+    assert grade.main([str(tmp_path / "submitted"), "--csv", str(tmp_path / "g.csv" / "h.csv")]) == 2
+    assert "is no folder to write into" in capsys.readouterr().err and not asked
 
 
 def test_answers_above_the_heading_or_beside_magics_are_found():

@@ -11,9 +11,9 @@ Nothing of a submission runs in this repository or in FOLDER: each gets a tempor
 samples, which is thrown away, an own home folder, and no variable of your environment that it does not need. It still
 runs as you: grade strangers' work in the container (see notebooks/INSTRUCTOR.md).
 
-One line for each checker: file, notebook, exercise, checker, verdict, reason, points, cells that raised. The verdict is
-``right``, ``wrong``, ``not attempted``, ``missing`` (no such function), ``stopped`` (time limit, dead kernel),
-``unreadable`` or ``unknown notebook``.
+One line for each checker: file, notebook, exercise, checker, verdict, reason, points, own cells that raised, level. The
+verdict is ``right``, ``wrong``, ``not attempted``, ``missing`` (no such function), ``stopped`` (time limit, dead
+kernel), ``unreadable`` or ``unknown notebook``.
 """
 
 import argparse
@@ -37,6 +37,7 @@ from nbclient.exceptions import DeadKernelError
 from student_copy import checker_calls, functions_in, student_copy
 
 ROOT = Path(__file__).resolve().parents[1]
+LEVEL = re.compile(r"^#+ Level (\d)", re.MULTILINE)
 EXERCISES = re.compile(r"^#+ .*\bexercises?\b", re.IGNORECASE | re.MULTILINE)
 # What an interpreter needs of its surroundings; keys and tokens of the person who grades are none of it.
 PASSED_ON = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "SYSTEMROOT", "SYSTEMDRIVE", "COMSPEC", "PATHEXT", "WINDIR")
@@ -45,12 +46,13 @@ NOT_ATTEMPTED = "not attempted yet"
 
 @dataclasses.dataclass
 class Task:
-    """One checker: the exercise that it belongs to, its call, and the name that it prints."""
+    """One checker: the exercise that it belongs to, its call, the name that it prints, and the exercise's level."""
 
     exercise: str
     functions: list[str]
     call: str
     checker: str
+    level: int
 
 
 @dataclasses.dataclass
@@ -65,6 +67,7 @@ class Row:
     reason: str = ""
     points: int = 0
     cells_raised: int = 0
+    level: int = 0
 
 
 def tasks_of(original: nbformat.NotebookNode) -> list[Task]:
@@ -80,7 +83,10 @@ def tasks_of(original: nbformat.NotebookNode) -> list[Task]:
             printed[cell.id] = [line[2:].split(":")[0] for line in text.splitlines() if line[:1] in "✓✗"]
     tasks = []
     functions: list[str] = []
+    level = 0
     for cell in student_copy(original).cells:
+        if cell.cell_type == "markdown" and (found := LEVEL.search(cell.source)):
+            level = int(found[1])
         mark = cell.metadata.get("nbgrader", {})
         if mark.get("solution"):
             functions, names = functions_in(cell.source), printed[cell.id]
@@ -89,7 +95,7 @@ def tasks_of(original: nbformat.NotebookNode) -> list[Task]:
         calls = _calls(cell.source)
         if len(calls) != len(names):
             raise ValueError(f"exercise {functions[0]}: {len(calls)} checkers, but its stored output names {names}")
-        tasks += [Task(functions[0], functions, *pair) for pair in zip(calls, names, strict=True)]
+        tasks += [Task(functions[0], functions, *pair, level) for pair in zip(calls, names, strict=True)]
     return tasks
 
 
@@ -268,10 +274,12 @@ def _run_and_read(file, name, submission, tasks, options, whole) -> list[Row]:
     prepared, missing = with_our_checkers(submission, tasks, whole)
     done = run_apart(prepared, options.timeout, options.limit)
     cells = {cell.metadata["task"]: cell for cell in done.cells if "task" in cell.metadata}
+    ours = {cell.source for cell in nbformat.read(ROOT / "notebooks" / f"{name}.ipynb", as_version=4).cells}
     raised = sum(
         any(out.output_type == "error" for out in cell.outputs)
         for cell in done.cells
-        if "task" not in cell.metadata and "raises-exception" not in cell.metadata.get("tags", [])
+        if not ({"task"} & set(cell.metadata) or "raises-exception" in cell.metadata.get("tags", []))
+        and cell.source not in ours  # such as an appendix, whose set-up was not run
     )
     rows = []
     for number, task in enumerate(tasks):
@@ -279,7 +287,8 @@ def _run_and_read(file, name, submission, tasks, options, whole) -> list[Row]:
             said, reason = why_missing(submission, task)
         else:
             said, reason = verdict(cells.get(number), task.checker, options.timeout)
-        rows.append(Row(file, name, task.exercise, task.checker, said, reason, int(said == "right"), raised))
+        points = int(said == "right")
+        rows.append(Row(file, name, task.exercise, task.checker, said, reason, points, raised, task.level))
     return rows
 
 
@@ -325,6 +334,11 @@ def main(arguments: list[str] | None = None) -> int:
     if target.exists():
         print(f"grade: {target} is there already; name another file with --csv", file=sys.stderr)
         return 2
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        print(f"grade: {target.parent} is no folder to write into: {error.strerror}", file=sys.stderr)
+        return 2
     paths = sorted(p for p in options.folder.rglob("*.ipynb") if ".ipynb_checkpoints" not in p.parts)
     if not paths:
         print(f"grade: no notebook (*.ipynb) in {options.folder}", file=sys.stderr)
@@ -336,11 +350,15 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"grade: {error}; the notebooks are needed with their outputs", file=sys.stderr)
         return 2
     rows: list[Row] = []
-    for path in paths:
-        graded = grade(path, options.folder, tasks, options)
-        rows += graded
-        print(f"{graded[0].file}: {sum(row.points for row in graded)} of {len(graded)}", flush=True)
-    write_csv(rows, target)
+    try:
+        for path in paths:
+            graded = grade(path, options.folder, tasks, options)
+            rows += graded
+            write_csv(rows, target)  # each time: an interruption loses one submission
+            print(f"{graded[0].file}: {sum(row.points for row in graded)} of {len(graded)}", flush=True)
+    except KeyboardInterrupt:
+        print(f"grade: interrupted; what was graded is in {target}" if rows else "grade: interrupted", file=sys.stderr)
+        return 130
     print(f"{len(rows)} lines in {target}")
     return 0
 
