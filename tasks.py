@@ -123,13 +123,14 @@ def light(arguments):
 
 
 def lab(arguments):
-    """Open the notebooks in JupyterLab."""
+    """Open the notebooks in JupyterLab; ARGS may name another one, such as a student copy."""
     install(LIGHT if stamp(LIGHT).exists() else FULL)
     disable = [str(PYTHON), "-m", "jupyterlab.labextensions", "disable", "--level=sys_prefix", NEWS]
     subprocess.run(disable, cwd=ROOT, stderr=subprocess.DEVNULL)
     is_root = hasattr(os, "geteuid") and os.geteuid() == 0
     allowed = ["--allow-root"] if is_root and in_container() else []
-    python("-m", "jupyterlab", "--notebook-dir=.", *allowed, "notebooks/00_start_here.ipynb", *arguments)
+    first = [] if any(word.endswith(".ipynb") for word in arguments) else ["notebooks/00_start_here.ipynb"]
+    python("-m", "jupyterlab", "--notebook-dir=.", *allowed, *first, *arguments)
 
 
 def demo(arguments):
