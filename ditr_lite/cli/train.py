@@ -7,7 +7,7 @@ by ``torchrun --nproc-per-node N -m ditr_lite train ...`` or ``accelerate launch
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from .evaluate import DATASETS, check_results
+from .evaluate import DATASETS, check_results, say_if_few
 from .shared import (
     MAKE_TRAIN,
     MAKE_VAL,
@@ -198,14 +198,22 @@ def fine_tune(options: Namespace, settings: dict[str, str]) -> None:
         notes = adapt.adapt(part, config, pool, held_out, options.start, options.out, work, recipe, **how)
         if is_first():
             print(judgement(part, notes))
+            say_if_few(len(notes["judged"]["before"]))
     leave()
 
 
 def judgement(part: str, notes: dict) -> str:
     """Return in words what fine-tuning did to the frames that judge it."""
     from ..evaluation.statistics import format_interval, paired_bootstrap
+    from ..training.adapt import WATCHED
 
     judged = notes["judged"]
+    if not notes["best_step"]:
+        first, *later = [row[WATCHED] for row in notes["curve"]]
+        return (
+            f"{part}: no step lowered the error of the held-out frames that choose ({first:.4f} at the start, "
+            f"{min(later):.4f} at best later): the weights of the start are kept, and nothing was left to judge"
+        )
     before, after = judged["before"], judged["after"]
     means = [sum(errors) / len(errors) for errors in (before, after)]
     difference = paired_bootstrap(after, before)
@@ -213,8 +221,9 @@ def judgement(part: str, notes: dict) -> str:
     kept = f"the fine-tuned weights of step {notes['best_step']} are kept"
     if judged["kept"] == "start":
         kept = "the weights of the start are kept"
+    kind = "1 - IoU" if part == "region" else "relative RMSE"
     return (
-        f"{part}: error of {len(before)} held-out frames {means[0]:.4f} before, {means[1]:.4f} after, difference "
+        f"{part}: {kind} of {len(before)} held-out frames {means[0]:.4f} before, {means[1]:.4f} after, difference "
         f"{format_interval(difference, 1, '+.4f')}: fine-tuning {said}; {kept}"
     )
 
@@ -233,12 +242,16 @@ def own_frames(options: Namespace, part: str, config):
         )
     own = [load_scenes(folder, options.limit) for folder in options.data or []]
     own += real.scenes(part, config, real.split) if real else []
+    if both := {Path(f).resolve() for f in options.val or []} & {Path(f).resolve() for f in options.data or []}:
+        raise ValueError(f"{both.pop()} is given as --data and as --val: frames that are trained on cannot judge")
     held_out = [load_scenes(folder) for folder in options.val or []]
     if real and (real.val_split or real.val_root):
         held_out += real.held_out(part, config).values()
     if not held_out:
         own, held_out = hold_out(own)
     share = 0.5 if options.scene_share is None else options.scene_share
+    if share and not (SAMPLES / "train").is_dir():
+        raise ValueError(f"no shipped training scenes in {SAMPLES}: only a clone has them; --scene-share 0 needs none")
     first = [load_scenes(SAMPLES / "train")] if share else []
     return mixed(own, first, share), join(held_out, config.size)
 
@@ -422,4 +435,8 @@ def folders(options: Namespace) -> tuple[list[Path], list[Path]]:
 
 def _is_of_training(path: Path) -> bool:
     """Return whether something in a folder is of weights, results about them or checkpoints."""
-    return path.is_dir() or path.suffix in (".safetensors", ".json", ".jsonl", ".md", ".txt", ".log")
+    return (
+        path.is_dir()
+        or path.name == "NOTICE"
+        or path.suffix in (".safetensors", ".json", ".jsonl", ".md", ".txt", ".log")
+    )

@@ -93,6 +93,10 @@ class RealFrames:
         if self.val_split is None and self.val_root is None:
             return {}
         root = Path(self.val_root or self.root)
+        if (root.resolve(), self.val_split) == (Path(self.root).resolve(), self.split):
+            raise ValueError(
+                f"frames of {root} are trained on and cannot judge: name another --val-root or --val-split"
+            )
         groups = self.scenes(part, config, self.val_split, root)
         return {f"{self.name}_{self.val_split or root.name}{k or ''}": group for k, group in enumerate(groups)}
 

@@ -97,8 +97,10 @@ def test_fine_tuning_says_what_it_did_and_needs_a_place_of_its_own(weights, scen
     assert "which fine-tuning never replaces" in refused([*argv, "--out", str(weights)], capsys)
     assert main([*argv, "--out", str(tmp_path / "out"), "--scene-share", "0"]) == 0
     printed = capsys.readouterr().out
-    assert re.search(r"region: error of 2 held-out frames \d\.\d+ before, \d\.\d+ after, difference [+-]\d", printed)
-    assert re.search("fine-tuning (helped|harmed|made no measurable difference); the", printed)
+    assert "region: no step lowered" in printed or "region: 1 - IoU of 2 held-out frames" in printed
+    assert "2 frames are too few for an interval" in printed
+    both = [str(scenes / "val") if word == str(scenes / "test") else word for word in argv]
+    assert "frames that are trained on cannot judge" in refused([*both, "--out", str(tmp_path / "y")], capsys)
     assert (weights / "region.safetensors").read_bytes() == before
     assert set(store.read_card(tmp_path / "out")["parts"]) == set(store.read_card(weights)["parts"])
     assert "needs frames to learn from" in refused([*argv[:5], "--out", str(tmp_path / "x")], capsys)
@@ -118,6 +120,22 @@ def test_weights_of_another_command_are_not_replaced_unasked(scenes, tmp_path, m
     argv = ["train", "--part", "region", *TINY, "--data", str(scenes / "val"), "--val", str(scenes / "test")]
     assert main(argv) == 0 and main(argv) == 0  # the very same: nothing is left to do
     assert "by another command" in (reason := refused([*argv, "--seed", "1"], capsys)) and "give --out" in reason
+
+
+def test_fine_tuning_is_judged_only_where_a_step_was_chosen():
+    judged = {"before": [0.2] * 6, "after": [0.1] * 6, "kept": "fine-tuned"}
+    notes = {"judged": judged, "best_step": 20, "curve": [{"held_out": 0.2}, {"held_out": 0.1}]}
+    said = judgement("optical", notes)
+    assert said.startswith(
+        "optical: relative RMSE of 6 held-out frames 0.2000 before, 0.1000 after, difference -0.1000"
+    )
+    assert said.endswith("fine-tuning helped; the fine-tuned weights of step 20 are kept")
+    notes = {
+        "judged": judged | {"after": judged["before"]},
+        "best_step": 0,
+        "curve": [{"held_out": 0.2}, {"held_out": 0.3}],
+    }
+    assert "no step lowered" in (said := judgement("optical", notes)) and "0.2000 at the start, 0.3000" in said
 
 
 def test_checkpoints_come_as_often_as_they_are_asked_for(weights, scenes, tmp_path, capsys):
