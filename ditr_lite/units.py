@@ -279,6 +279,12 @@ def _of_jpeg(pixels: np.ndarray) -> float:
     return float((np.abs(again - pixels) < 0.51).all(axis=1).mean())
 
 
+def typical_ratio(depth: np.ndarray, truth: np.ndarray, region: np.ndarray | None) -> float:
+    """Return the median of raw depth over truth outside the region, (H, W) each; 1 where both are known nowhere."""
+    both = (depth > 0) & (truth > 0) & (True if region is None else ~region)
+    return float(np.median(depth[both] / truth[both])) if both.any() else 1.0
+
+
 def looks_swapped(depth: np.ndarray, truth: np.ndarray, region: np.ndarray) -> bool:
     """Return whether raw depth and truth are exchanged.
 

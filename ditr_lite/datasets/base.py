@@ -12,7 +12,7 @@ import numpy as np
 
 from ..data import Sample
 from ..files import read_array
-from ..units import looks_swapped
+from ..units import looks_swapped, typical_ratio
 
 
 class FrameFolder:
@@ -82,6 +82,10 @@ class FrameFolder:
                 f"{self.root}: raw depth and truth look swapped: inside the region the truth shows a sensor's loss",
                 stacklevel=2,
             )
+        ratio = 1.0 if sample.depth_gt is None else typical_ratio(sample.depth, sample.depth_gt, sample.region)
+        if not 0.5 < ratio < 2:
+            told = f"raw depth is {ratio:.3g} times the truth"
+            warnings.warn(f"{self.root}: {told}: are both in one unit (depth_scale)?", stacklevel=2)
         return sample
 
     def in_split(self, name: str) -> bool:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..data import OPAQUE, TRANSPARENT, Sample
-from ..files import COLOUR, DEPTH, MASK, read_depth, read_intrinsics, read_mask, read_rgb
+from ..files import COLOUR, DEPTH, MASK, read_array, read_depth, read_intrinsics, read_mask, read_rgb
 from .base import FrameFolder
 
 CAMERAS = tuple(f"intrinsics{ending}" for ending in (".txt", ".npy", ".yaml", ".yml", ".json"))
@@ -68,9 +68,14 @@ class Folder(FrameFolder):
             name=name,
             rgb=rgb,
             depth=read_depth(stem, self.depth_scale, allow_empty=True),
-            depth_gt=read_depth(truth, self.depth_scale) if truth else None,
+            depth_gt=read_depth(truth, self.depth_scale if alike(stem, truth) else None) if truth else None,
             region=region,
             camera=read_intrinsics(camera, rgb.shape[:2]) if camera else None,
             material=None if region is None else np.where(region, TRANSPARENT, OPAQUE).astype(np.uint8),
             meta={"dataset": "folder"},
         )
+
+
+def alike(first: Path, second: Path) -> bool:
+    """Return whether two depth maps hold both whole numbers or both floats: one scale can be that of both."""
+    return len({read_array(path).dtype.kind == "f" for path in (first, second)}) == 1

@@ -4,6 +4,7 @@ import shutil
 import warnings
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -53,3 +54,18 @@ def test_a_folder_whose_raw_depth_and_truth_are_swapped_is_warned_of(tmp_path, s
         warnings.simplefilter("always")
         assert datasets.Folder(tmp_path)[0].depth.any()
     assert ["raw depth and truth look swapped" in str(w.message) for w in said] == [True] * swapped
+
+
+def test_a_scale_is_of_truth_in_numbers_of_the_same_kind(tmp_path):
+    for folder in ("rgb", "depth", "truth"):
+        (tmp_path / folder).mkdir()
+    cv2.imwrite(str(tmp_path / "rgb" / "a.png"), np.zeros((4, 6, 3), np.uint8))
+    cv2.imwrite(str(tmp_path / "depth" / "a.png"), np.full((4, 6), 4000, np.uint16))  # 0.2 mm
+    np.save(tmp_path / "truth" / "a.npy", np.full((4, 6), 0.8, np.float32))
+    sample = datasets.Folder(tmp_path, depth_scale=0.0002)["depth/a.png"]
+    assert np.allclose(sample.depth, 0.8) and np.allclose(sample.depth_gt, 0.8)
+    with pytest.warns(UserWarning, match="raw depth is 5 times the truth: are both in one unit"):
+        datasets.Folder(tmp_path)["depth/a.png"]
+    (tmp_path / "truth" / "a.npy").unlink()
+    cv2.imwrite(str(tmp_path / "truth" / "a.png"), np.full((4, 6), 4000, np.uint16))
+    assert np.allclose(datasets.Folder(tmp_path, depth_scale=0.0002)["depth/a.png"].depth_gt, 0.8)
