@@ -45,7 +45,7 @@ def read_card(folder: Path | str | None = None) -> dict[str, Any]:
     """
     path = Path(folder or WEIGHTS) / CARD
     if not path.is_file():
-        raise ValueError(f"no weights in {path.parent}: expected {CARD} there; train them with `make train`")
+        raise ValueError(f"no weights in {path.parent}: expected {CARD} there; the shipped ones are in {WEIGHTS}")
     try:
         card = read_json(path)
     except ValueError as error:  # not JSON, or not even text

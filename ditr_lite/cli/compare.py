@@ -82,6 +82,8 @@ def compare_systems(options: Namespace) -> None:
     for folder in (options.first, options.second):
         read_card(folder)  # refused before anything is computed
     settings = dict(map(setting, options.set))
+    if len(settings) < len(options.set):
+        raise ValueError(f"--set names one setting twice: {' '.join(options.set)}")
     source, frames = chosen_frames(options)
     found = compare_weights(options.first, options.second, frames, options.given_region, settings)
     print(f"{source}, region {'given' if options.given_region else 'found by stage one'}")

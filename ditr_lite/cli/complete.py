@@ -137,6 +137,7 @@ def complete_many(options: Namespace) -> int:
         job.check(options.intrinsics)
     waiting = jobs if options.video else [job for job in jobs if not job.is_done]
     failed: list[tuple[Path, str]] = []
+    ranges: list[tuple[float, float]] = []
     system = load_system(options) if waiting else None
     if options.video:
         from .video import Steady
@@ -145,13 +146,19 @@ def complete_many(options: Namespace) -> int:
     for job in tqdm(waiting, desc="frames", unit="frame"):
         try:
             frame = read_job(job, options)
-            write_job(job, frame, complete(system, frame, options), options)
+            completion = complete(system, frame, options)
+            write_job(job, frame, completion, options)
+            ranges.append((completion.depth.min(), completion.depth.max()))
         except (ValueError, OSError) as error:
             failed.append((job.depth, " ".join(str(error).split())))
     for path, reason in failed:
         print(f"ditr_lite: {path} failed: {reason}", file=sys.stderr)
     kept, done = len(jobs) - len(waiting), len(waiting) - len(failed)
     print(f"{options.out_dir}: {done} frames completed, {kept} were there already, {len(failed)} failed")
+    if ranges:
+        print(f"completed depth lies between {min(a for a, _ in ranges):.3f} and {max(b for _, b in ranges):.3f} m")
+    if kept:
+        print("what was there is kept, whatever settings made it: another --out-dir completes it anew")
     return 3 if failed else 0
 
 

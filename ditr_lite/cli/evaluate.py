@@ -23,7 +23,7 @@ from .shared import (
 
 DATASETS = ("cleargrasp", "cleargrasp_synthetic", "todd", "std", "dreds", "trosd", "transcg", "folder")
 WITHOUT_PEERS = (  # what `bench --peers`, which scores nothing, would not look at
-    *("method", "no_cost", "split", "root", "limit", "given_region", "json"),
+    *("method", "no_cost", "dataset", "split", "root", "depth_scale", "limit", "given_region", "json"),
     *("steps", "samples", "threshold", "refine", "weights"),
 )
 FEW = 6  # frames, below which an interval is not called one
@@ -81,8 +81,8 @@ class Bench:
     @staticmethod
     def add_arguments(p: ArgumentParser) -> None:
         """Add what ``bench`` takes."""
-        add_scenes(p)
-        p.set_defaults(split=None)  # so that it can be told whether it was given
+        add_frames(p)
+        p.set_defaults(skip_bad=False)
         p.add_argument(
             "--method",
             action="append",
@@ -245,7 +245,7 @@ def within_its_lines(name: str, method: Callable) -> Callable:
 
     def call(*given):
         try:
-            return method(*given)
+            depth = method(*given)
         except (ValueError, KeyboardInterrupt):
             raise
         except (Exception, SystemExit) as error:
@@ -253,8 +253,23 @@ def within_its_lines(name: str, method: Callable) -> Callable:
             own = [step for step in traceback.extract_tb(error.__traceback__) if not step.filename.startswith(package)]
             where = f"{Path(own[-1].filename).name}, line {own[-1].lineno}: " if own else ""
             raise RuntimeError(f"your method {name!r} failed: {where}{type(error).__name__}: {error}") from error
+        from ..units import MAX_DEPTH_M
+
+        if (typical := typical_depth(depth)) >= MAX_DEPTH_M:
+            raise RuntimeError(f"your method {name!r} returns depth about {typical:.0f}: metres are expected")
+        return depth
 
     return call
+
+
+def typical_depth(depth: Any) -> float:
+    """Return the median of a map of numbers, where above 0; 0 of anything else, which others refuse."""
+    import numpy as np
+
+    if not isinstance(depth, np.ndarray) or depth.dtype.kind not in "uif":
+        return 0.0
+    known = depth[np.isfinite(depth) & (depth > 0)]
+    return float(np.median(known)) if known.size else 0.0
 
 
 def against_best(results: Sequence[dict], name: str, baselines: Sequence[str]) -> str:
@@ -273,6 +288,8 @@ def against_best(results: Sequence[dict], name: str, baselines: Sequence[str]) -
         best = min((m for m in rmse if m != name), key=lambda m: mean_known(rmse[m]))
         interval = paired_bootstrap(rmse[name], rmse[best])
         lines.append(f"  {key}: {format_interval(interval, 1000, '+.1f')} against {best}")
+    if len(lines) == 1:
+        return f"{name} and a baseline have no frame in common to be compared on"
     return "\n".join(lines)
 
 

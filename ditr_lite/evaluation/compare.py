@@ -8,6 +8,7 @@ from .. import metrics
 from ..config import override
 from ..data import Sample
 from ..pipeline import Ditr
+from ..store import read_config
 from .results import head
 from .scoring import DITR, run_methods
 from .statistics import format_interval, interval, mean_known, paired_bootstrap, ratio_bootstrap
@@ -42,9 +43,11 @@ def compare_weights(
         means. None where no frame has such pixels.
 
     Raises:
-        ValueError: for a setting that only training can change.
+        ValueError: for a setting that only training can change, or that there is not.
     """
     settings = settings or {}
+    if settings:
+        override(read_config(second), **settings)  # an unknown one is said to be unknown
     for key in settings:
         if key not in WORKING and not key.startswith(WORKING_GROUP):
             asked = f"{', '.join(WORKING)} or {WORKING_GROUP}*"

@@ -107,6 +107,18 @@ def test_the_best_baseline_is_that_of_the_frames_which_all_complete():
     assert "against" not in evaluate.against_best(apart, "mine", ("lazy",))
 
 
+def test_a_method_in_another_unit_is_told_and_one_without_frames_is_named():
+    with pytest.raises(RuntimeError, match="your method 'fill' returns depth about 700: metres are expected"):
+        evaluate.within_its_lines("fill", lambda *_: np.full((4, 4), 700.0))(None, None, None)
+    for given in (None, np.zeros((2, 2)), np.full((2, 2), 0.7)):  # others judge what is no depth map
+        assert evaluate.within_its_lines("fill", lambda *_, given=given: given)(None, None, None) is given
+    nothing = [{"methods": {"mine": None, "good": {"optical": {"rmse": 1.0}}}}]
+    assert (
+        evaluate.against_best(nothing, "mine", ("good",))
+        == "mine and a baseline have no frame in common to be compared on"
+    )
+
+
 def test_an_interval_of_few_frames_is_not_called_one(capsys):
     evaluate.say_if_few(6)
     assert not capsys.readouterr().out

@@ -45,3 +45,8 @@ def test_only_the_second_system_works_otherwise(monkeypatch):
     assert first == preset("tiny") and second.sampler.steps == 7 and second.refine.threshold == 0.25
     with pytest.raises(ValueError, match=r"autoencoder.width shapes the weights.*expected sampler.steps"):
         compare.compare_weights(None, None, [], settings={"autoencoder.width": "8"})
+
+
+def test_a_setting_that_there_is_not_is_called_unknown():
+    with pytest.raises(ValueError, match="unknown"):
+        compare.compare_weights(None, None, [], settings={"sampler.step": "4"})
