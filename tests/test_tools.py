@@ -202,11 +202,13 @@ def test_the_disturbance_table_goes_into_the_readme():
     row = {"ratio": [1.1, 1.0, 1.2]}
     sparse = {"ratio": [2.0, 1.9, 2.1], "of_linear": [0.8, 0.7, 0.9]}
     table = {"turned by 90": {"found": row, "given": row}, "300 readings": {"found": sparse, "given": sparse}}
-    text = readme_results.disturbances(
-        {"command": "python x", "disturbances": {"rooms": {"frames": ["a"], "table": table}}}
-    )
-    assert "| rooms, 1 scenes |" in text and "| turned by 90 | 1.10 [1.00, 1.20] |" in text
-    assert "| 300 readings | 0.80 [0.70, 0.90] |" in text and "`python x`" in text
+    found = {"disturbed_m": [0.2, 0.1, None], "undisturbed_m": [0.1, 0.1, 0.1]}
+    rmse = {"turned by 90": {"found": found}, "300 readings": {"found": {**found, "linear_m": [0.3, 0.2, 0.1]}}}
+    rooms = {"frames": ["a", "b", "c"], "table": table, "rmse_m": rmse}
+    text = readme_results.disturbances({"command": "python x", "disturbances": {"rooms": rooms}})
+    assert "| rooms, 3 scenes |" in text and "`python x`" in text
+    assert "| turned by 90 | 1.10 [1.00, 1.20] | 1.10 [1.00, 1.20] | 1 of 2 |" in text
+    assert "| 300 readings | 0.80 [0.70, 0.90] | 0.80 [0.70, 0.90] | 0 of 2 |" in text
     card = {"parts": {"a": {"steps": 2, "seconds": 60, "scenes": {"x": 3, "y": 4}}, "encoder": {"sha256": "0"}}}
     assert "| a | 7 | 2 | 1 |" in readme_results.training(card) and "encoder" not in readme_results.training(card)
 
