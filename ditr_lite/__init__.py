@@ -20,7 +20,7 @@ The rest is in rooms: ``datasets`` (real data), ``viz`` (pictures), ``simulator`
 from importlib import import_module
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # A file imports only from places that stand before its own in this list, or from its own room; rooms come last.
 MODULES = (
