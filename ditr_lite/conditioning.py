@@ -4,6 +4,7 @@ Paper: Sec. III (calibration) and IV-C. The paper leaves open how raw depth reac
 inpainting's: the encoded known depth and a mask are concatenated to L_t, everything else enters through F(x).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 CHANNELS = ("red", "green", "blue", "boundary", "filled", "known", "region", "evidence", "trusted")  # of F(x)'s input
-SPREADS = (0.12, 0.6)  # least and largest half range of a frame, as a ratio of distances: exp(0.12) is 13 per cent
+SPREADS = (0.12, 0.6)  # least and largest reach upwards, as a ratio of distances: exp(0.12) is 13 per cent
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,9 @@ class Bounds:
 def depth_bounds(depth: np.ndarray, about: np.ndarray | None = None) -> Bounds:
     """Choose the bounds of a frame from its *raw* depth alone: ground-truth quantiles would leak the answer.
 
-    The middle is the median, the half range 2.5 median absolute deviations of log depth, neither of which a minority of
-    far or near readings can move. Downwards it is a quarter larger, because what the sensor misses (glass) stands
-    before what it sees.
+    From the median they reach 2.5 median absolute deviations of log depth upwards, neither of which a minority of far
+    or near readings can move. Downwards they reach a quarter farther, because what the sensor misses (glass) stands
+    before what it sees; so the median lies a little above the middle of the range.
 
     Args:
         depth: (H, W) metres, 0 = missing.
@@ -100,7 +101,7 @@ def fill(depth_n: Tensor, known: Tensor, rounds: int = 4) -> Tensor:
         return depth_n * known
     mean, share = pool(depth_n, known)
     coarse = fill(mean, (share > 0).to(known.dtype), rounds)
-    fine = F.interpolate(coarse, size=depth_n.shape[2:], mode="bilinear", align_corners=False)
+    fine = doubled(coarse, depth_n.shape[2:])
     filled = torch.where(known > 0, depth_n, fine)
     for _ in range(rounds):
         padded = F.pad(filled, (1, 1, 1, 1), mode="replicate")
@@ -108,6 +109,15 @@ def fill(depth_n: Tensor, known: Tensor, rounds: int = 4) -> Tensor:
         horizontal = padded[:, :, 1:-1, :-2] + padded[:, :, 1:-1, 2:]
         filled = torch.where(known > 0, depth_n, (vertical + horizontal) / 4)
     return filled
+
+
+def doubled(coarse: Tensor, size: Sequence[int]) -> Tensor:
+    """Return a map of cells of 2x2 pixels, (B, 1, H/2, W/2) rounded up, at their pixels, (B, 1, H, W).
+
+    To ask for the size itself would stretch it where a side is odd: its last cell lies half outside.
+    """
+    height, width = size
+    return F.interpolate(coarse, scale_factor=2.0, mode="bilinear", align_corners=False)[..., :height, :width]
 
 
 def pool(depth_n: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:

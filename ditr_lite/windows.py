@@ -16,10 +16,9 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
-from .conditioning import fill, pool
+from .conditioning import doubled, fill, pool
 from .units import readings_seen, strips
 
 MARGIN = 2.0  # side of a window over the longer side of what it must hold
@@ -174,7 +173,7 @@ def level(painted: np.ndarray, depth: np.ndarray, region: np.ndarray) -> Tensor 
 
 def tie(painted: np.ndarray, lift: Tensor, holes: np.ndarray) -> None:
     """Raise a painting (H, W) in metres by ``lift``, its :func:`level`, in place, in its holes (H, W) bool."""
-    offset = F.interpolate(lift, size=painted.shape, mode="bilinear", align_corners=False)[0, 0].numpy()
+    offset = doubled(lift, painted.shape)[0, 0].numpy()
     for rows in strips(painted.shape):
         np.multiply(painted[rows], np.exp(offset[rows]), out=painted[rows], where=holes[rows])
 

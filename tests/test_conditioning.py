@@ -140,7 +140,7 @@ def test_relaxing_brings_the_fill_nearer_to_laplace():
     known = torch.ones_like(harmonic)
     known[..., 12:36, 16:48] = 0
     errors = [float((fill(harmonic, known, rounds) - harmonic).abs().mean()) for rounds in (0, 4, 40)]
-    assert errors[1] < 0.5 * errors[0] and errors[2] < 0.6 * errors[1]
+    assert errors[1] < 0.7 * errors[0] and errors[2] < 0.6 * errors[1]
 
 
 def test_one_reading_fills_everything_and_none_gives_zero():
@@ -196,3 +196,13 @@ def test_depth_inside_the_region_is_seen_only_as_evidence(evidence):
     (one, *rest), (two, *rest_two) = (condition(rgb, d, valid, region, boundary, evidence) for d in (depth, other))
     changed = [name for k, name in enumerate(CHANNELS) if not torch.equal(one[:, k], two[:, k])]
     assert changed == (["evidence"] if evidence else []) and all(map(torch.equal, rest, rest_two))
+
+
+@pytest.mark.parametrize("size", [(24, 32), (33, 33), (45, 81), (61, 40)])
+def test_a_ramp_is_filled_in_its_place_whatever_the_sides(size):
+    height, width = size
+    ramp = torch.linspace(0, 1, width).expand(1, 1, height, width).contiguous()
+    known = torch.ones_like(ramp)
+    known[..., height // 4 : -(height // 4), width // 4 : -(width // 4)] = 0
+    off = (fill(ramp * known, known) - ramp)[known == 0] * width  # in pixels of the ramp
+    assert abs(float(off.mean())) < 0.3, "it drifts sideways"
