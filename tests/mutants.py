@@ -706,7 +706,7 @@ INPUTS = [
         "evaluation/stage_one",
         (
             "overlap: after refinement",
-            "metrics.iou(out.probability > ditr.config.refine.threshold, sample.region)",
+            "metrics.iou((out.probability > ditr.config.refine.threshold) & judged, sample.region)",
             "metrics.iou(out.region, sample.region)",
         ),
     ),

@@ -37,7 +37,7 @@ from nbclient.exceptions import DeadKernelError
 from student_copy import checker_calls, functions_in, student_copy
 
 ROOT = Path(__file__).resolve().parents[1]
-LEVEL = re.compile(r"^#+ Level (\d)", re.MULTILINE)
+LEVEL = re.compile(r"^(?:#+ |\*\*)Level (\d)", re.MULTILINE)
 EXERCISES = re.compile(r"^#+ .*\bexercises?\b", re.IGNORECASE | re.MULTILINE)
 # What an interpreter needs of its surroundings; keys and tokens of the person who grades are none of it.
 PASSED_ON = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "SYSTEMROOT", "SYSTEMDRIVE", "COMSPEC", "PATHEXT", "WINDIR")

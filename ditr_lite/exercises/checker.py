@@ -80,7 +80,7 @@ def _difference(got: Any, want: Any, rtol: float, dtype: bool = False) -> str | 
         return "it returns nothing: is a `return` missing?"
     if _ragged(got) or _ragged(want):
         return _difference_of_parts(got, want, rtol)
-    got = got.detach() if hasattr(got, "detach") else got  # a tensor with a gradient is no array
+    got = [_array(part) for part in got] if isinstance(got, list | tuple) else _array(got)
     got, want = np.asarray(got), np.asarray(want)
     if got.shape != want.shape:
         return f"the result should have shape {want.shape}, got {got.shape}"
@@ -109,6 +109,11 @@ def _ragged(result: Any) -> bool:
 
 def _shape(part: Any) -> str:
     return "several" if _ragged(part) else str(np.shape(part))
+
+
+def _array(got: Any) -> Any:
+    """Return a tensor without its gradient, with which it is no array; all else as it is."""
+    return got.detach() if hasattr(got, "detach") else got
 
 
 def _difference_of_parts(got: Any, want: Any, rtol: float) -> str | None:

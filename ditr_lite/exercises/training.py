@@ -69,7 +69,7 @@ def check_average(attempt: Function) -> bool:
         "the newest weight comes last: they are taken in reverse": lambda w, d, s: right(w[::-1], d, s),
     }
     rng = np.random.default_rng(10)
-    cases = [(rng.normal(2, 1, 9), 0.9, 1.0), (rng.normal(size=30), 0.98, -3.0)]
+    cases = [(rng.normal(2, 1, 9).tolist(), 0.9, 1.0), (rng.normal(size=30).tolist(), 0.98, -3.0)]
     return check("moving average", attempt, right, cases, mistakes)
 
 
