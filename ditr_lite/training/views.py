@@ -264,7 +264,7 @@ def lose(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def spoil(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Add far and near stray readings, single ones and specks, up to one in two hundred."""
+    """Add far and near stray readings, single ones and specks, up to about one in a hundred."""
     out = depth.copy()
     count = int(rng.uniform(0, 0.005) * depth.size)
     for _ in range(count // 3 + 1):
