@@ -112,7 +112,8 @@ def score_members(members: Sequence[np.ndarray], sample: Sample) -> dict[str, An
 
     Returns:
         ``single``, ``mean``: set -> RMSE in metres, of a single member on average and of the mean of 1, 2, 4, ...
-        members (by their number); ``crps``, ``spread``: set -> metres; ``flying_single``, ``flying_mean``: per cent of
+        members (by their number); ``crps``, ``spread``: set -> metres, the latter the root mean square of the pixels'
+        standard deviations, as an error is one; ``flying_single``, ``flying_mean``: per cent of
         the region's pixels at depth edges, None without such.
     """
     stack = np.stack(members)
@@ -129,7 +130,7 @@ def score_members(members: Sequence[np.ndarray], sample: Sample) -> dict[str, An
             groups = [stack[i : i + n].mean(0) for i in range(0, len(members) - n + 1, n)]
             out["mean"][str(n)][key] = float(np.mean([metrics.rmse(g, sample.depth_gt, where) for g in groups]))
         out["crps"][key] = metrics.crps(stack, sample.depth_gt, where)
-        out["spread"][key] = float(stack.std(0, ddof=int(len(members) > 1))[where].mean())
+        out["spread"][key] = float(np.sqrt(stack.var(0, ddof=int(len(members) > 1))[where].mean()))
     singles = [flying_share(m, sample.depth_gt, sample.region) for m in members]
     out["flying_single"] = None if None in singles else float(np.mean(singles))
     out["flying_mean"] = flying_share(stack.mean(0), sample.depth_gt, sample.region)
@@ -165,8 +166,7 @@ def against_one(
     """Return what more steps change: measure of :data:`MEASURES` -> (mean, low, high) minus the fewest steps.
 
     Both sides are of the same frames and the same number of members, which the rows of :data:`PLAN` are not. A single
-    draw, CRPS and spread are averages over all members there are, which a number of members does not favour (but for
-    the spread of two, whose expectation is a fifth too small).
+    draw, CRPS and spread are averages over all members there are, which a number of members does not favour.
     Metres, flying pixels in percentage points; None where no frame has such pixels, or where the pixels that fly in a
     mean are known of other numbers of members only.
     """
@@ -237,7 +237,8 @@ def verdicts(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     spread, error = (
         1000 * bootstrap_mean([_value(r, n, key, count) for r in rows[steps]])[0] for n in ("spread", "mean")
     )
-    fits = "about right" if 0.8 < error / spread < 1.25 else "too small" if error > spread else "too large"
+    ratio = error / spread / np.sqrt(1 + 1 / count)  # the mean of honest draws errs more than one of them spreads
+    fits = "about right" if 0.8 < ratio < 1.25 else "too small" if ratio > 1 else "too large"
     lines.append(f"  spread of the draws    {spread:.1f} mm, error of their mean {error:.1f} mm: the spread is {fits}")
     return "\n".join(lines)
 
