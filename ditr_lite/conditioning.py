@@ -112,12 +112,8 @@ def fill(depth_n: Tensor, known: Tensor, rounds: int = 4) -> Tensor:
 
 
 def doubled(coarse: Tensor, size: Sequence[int]) -> Tensor:
-    """Return a map of cells of 2x2 pixels, (B, 1, H/2, W/2) rounded up, at their pixels, (B, 1, H, W).
-
-    To ask for the size itself would stretch it where a side is odd: its last cell lies half outside.
-    """
-    height, width = size
-    return F.interpolate(coarse, scale_factor=2.0, mode="bilinear", align_corners=False)[..., :height, :width]
+    """Return a map (B, 1, H/2, W/2), rounded up, at its pixels (B, 1, H, W): the last cell may lie half outside."""
+    return F.interpolate(coarse, scale_factor=2.0, mode="bilinear", align_corners=False)[..., : size[0], : size[1]]
 
 
 def pool(depth_n: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:

@@ -111,8 +111,8 @@ class Ditr:
         self.parts = parts.to(self.device, memory_format=torch.channels_last).eval().requires_grad_(False)
         self.schedule = make_schedule(config.schedule)
         self.backend = own_backend(boundary) if callable(boundary) else get_backend(boundary, boundary_path)
-        shipped = partial(diffusion.sample, eta=config.sampler.eta)
-        self.sampler = shipped if sampler is diffusion.sample else own_sampler(sampler)
+        own = sampler is not diffusion.sample
+        self.sampler = own_sampler(sampler) if own else partial(sampler, eta=config.sampler.eta)
 
     @classmethod
     def from_pretrained(
