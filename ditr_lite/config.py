@@ -289,9 +289,9 @@ def check_stage_one(threshold: float | None, refine: RefineConfig | None, own: R
         raise ValueError(f"threshold: expected a probability between 0 and 1, got {threshold!r}")
     if refine is not None and not isinstance(refine, RefineConfig):
         raise ValueError(f"refine: expected a config.RefineConfig, got {refine!r}")
-    for name in ("threshold", "temperature", "looks"):
-        asked = None if refine is None else getattr(refine, name)
-        if asked not in (None, getattr(own, name), getattr(RefineConfig(), name)):
+    for name in ("threshold", "temperature", "looks") if refine else ():
+        asked = getattr(refine, name)
+        if asked not in (getattr(own, name), getattr(RefineConfig(), name)):
             how = "give threshold=... beside it" if name == "threshold" else "build a Ditr whose configuration has it"
             raise ValueError(f"refine is asked for its kernels alone, and its {name} {asked} would do nothing: {how}")
 

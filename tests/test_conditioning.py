@@ -140,7 +140,7 @@ def test_relaxing_brings_the_fill_nearer_to_laplace():
     known = torch.ones_like(harmonic)
     known[..., 12:36, 16:48] = 0
     errors = [float((fill(harmonic, known, rounds) - harmonic).abs().mean()) for rounds in (0, 4, 40)]
-    assert errors[1] < 0.7 * errors[0] and errors[2] < 0.6 * errors[1]
+    assert errors[0] < 0.09 and errors[1] < min(0.05, 0.7 * errors[0]) and errors[2] < 0.6 * errors[1]
 
 
 def test_one_reading_fills_everything_and_none_gives_zero():

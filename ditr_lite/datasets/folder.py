@@ -41,6 +41,13 @@ class Folder(FrameFolder):
         kinds = (stem.parents[1] / kind for kind in ("rgb", "region", "truth"))
         return [stem, *(path for kind in kinds for path in self.called(kind, stem.stem))]
 
+    def scale_of_truth(self, depth: Path, truth: Path) -> float | None:
+        """Return the stated scale where both maps hold whole numbers, or both floats; None where it is only depth's."""
+        if self.depth_scale is None:  # then neither file need be read twice
+            return None
+        kinds = {read_array(path).dtype.kind == "f" for path in (depth, truth)}
+        return self.depth_scale if len(kinds) == 1 else None
+
     def called(self, folder: Path, name: str) -> list[Path]:
         """Return the files of a folder that are called so, whatever their suffix.
 
@@ -68,14 +75,9 @@ class Folder(FrameFolder):
             name=name,
             rgb=rgb,
             depth=read_depth(stem, self.depth_scale, allow_empty=True),
-            depth_gt=read_depth(truth, self.depth_scale if alike(stem, truth) else None) if truth else None,
+            depth_gt=read_depth(truth, self.scale_of_truth(stem, truth)) if truth else None,
             region=region,
             camera=read_intrinsics(camera, rgb.shape[:2]) if camera else None,
             material=None if region is None else np.where(region, TRANSPARENT, OPAQUE).astype(np.uint8),
             meta={"dataset": "folder"},
         )
-
-
-def alike(first: Path, second: Path) -> bool:
-    """Return whether two depth maps hold both whole numbers or both floats: one scale can be that of both."""
-    return len({read_array(path).dtype.kind == "f" for path in (first, second)}) == 1

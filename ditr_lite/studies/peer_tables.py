@@ -132,11 +132,11 @@ def ratio_verdict(report: Mapping[str, Any]) -> str:
             middle, low, high = report["ratio"][name][key]
             told = "smaller" if high < 1 else "larger" if low > 1 else "not measurably different"
             line = f"+RR's {key} error is {told}: {middle:.2f} [{low:.2f}, {high:.2f}] times that of {name}"
-            if name != "regression":
-                line += ", the best of the peers on these very frames: chosen by them, it is flattered"
             if name == "regression":
                 lies = "below" if paper < low else "above" if paper > high else "inside"
                 line += f"; the paper's {paper:.2f} to DFNet ({table}) lies {lies} our interval"
+            else:
+                line += ", the best of the peers on these very frames: chosen by them, it is flattered"
             lines.append(line)
     return "\n".join([*lines, holes_verdict(report)])
 

@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from torch import nn
 
-from ..boundary import get_backend
 from ..config import Config, to_dict
 from ..metrics import iou
 from ..stage_two import BRANCHES
@@ -28,13 +27,14 @@ from .parts import (
     check_same_system,
     claims_in_order,
     count_scenes,
+    drawn_from,
     needs,
     painter_of,
     parts_with,
     scene_errors,
     sharpened_errors,
 )
-from .scenes import Pool, Scenes, checksum, every
+from .scenes import Pool, Scenes, every
 
 GENTLE = {"warmup": 10, "decay": 0.98, "ramp": False, "patience": 4, "law": "constant"}
 RECIPES = {
@@ -152,7 +152,7 @@ def adapt(
     before = model_errors(model, errors, judges)
     remarks = {"start_sha256": read_card(start)["parts"][part]["sha256"]}
     below = [read_card(out)["parts"][name]["sha256"] for name in needs(part, config)]
-    seen = [checksum(*pool.groups, held_out), pool.shares.tolist(), str(get_backend(boundary).fingerprint)]
+    seen = drawn_from(pool, boundary, held_out)
     key = json.dumps([to_dict(config), seen, below, boundary, remarks], sort_keys=True)
     notes = fit(
         part,

@@ -183,8 +183,7 @@ def train_on(
     pool = scenes if isinstance(scenes, Pool) else Pool(scenes)
     step, validate = assemble(part, parts, pool, held_out, config, recipe, boundary, seed)
     below = [read_card(out)["parts"][name]["sha256"] for name in needs(part, config)]
-    drawn = [checksum(*pool.groups), pool.shares.tolist(), str(get_backend(boundary).fingerprint)]
-    key = json.dumps([to_dict(config), drawn, below, boundary, remarks], sort_keys=True)
+    key = json.dumps([to_dict(config), drawn_from(pool, boundary), below, boundary, remarks], sort_keys=True)
     notes = fit(part, model, step, recipe, work, validate, every, seed, key=key, engine=engine)
     if part == "autoencoder":
         model.eval()
@@ -195,6 +194,11 @@ def train_on(
         save_part(part, model.state_dict(), config, out, notes)
     wait_for_all()
     return notes
+
+
+def drawn_from(pool: Pool, boundary: str, *held_out: Scenes) -> list[Any]:
+    """Return what decides the frames that a training draws: a checkpoint of others is not taken."""
+    return [checksum(*pool.groups, *held_out), pool.shares.tolist(), str(get_backend(boundary).fingerprint)]
 
 
 def borrow(part: str, config: Config, out: Path | str) -> None:
@@ -362,7 +366,7 @@ def scene_errors(
     found = np.full(len(scenes), np.nan)
     asked = scenes_asking(branch, scenes, config)
     errors = []
-    for batch in held_out_batches(branch, scenes, config, boundary) if asked else ():
+    for batch in held_out_batches(branch, scenes, config, boundary):
         batch = batch if painter is None else batch.to(device_of(painter.net))
         decoded, paint = recipes.one_step(branch, painter, batch, config, seed)
         errors += root_mean_square(batch.relative_error(decoded), paint * batch.gt_known)
@@ -408,7 +412,7 @@ def sharpened_errors(
     for row, (branch, painter) in zip(found, painters.items(), strict=True):
         asked = scenes_asking(branch, scenes, config)
         errors = []
-        for batch in held_out_batches(branch, scenes, config, boundary) if asked else ():
+        for batch in held_out_batches(branch, scenes, config, boundary):
             batch = batch.to(device_of(model))
             decoded, paint = recipes.one_step(branch, painter, batch, config)
             error = batch.relative_error(recipes.sharpened(model, decoded, batch, config))
