@@ -15,6 +15,8 @@ from ..windows import LEAST, MARGIN
 from .augment import colours, dusk, glare
 from .scenes import Scenes
 
+TIE = 0.01  # pixels: where a centre lies between two of the scene's, the later is taken, as `windows.centres` does
+
 
 @dataclass(frozen=True)
 class View:
@@ -47,15 +49,62 @@ def look(scenes: Scenes, i: int, matrix: np.ndarray, size: tuple[int, int], clai
     """
     flags = cv2.WARP_INVERSE_MAP
     wh = (size[1], size[0])
-    rgb = cv2.warpAffine(scenes.rgb[i], matrix, wh, flags=cv2.INTER_LINEAR | flags, borderMode=cv2.BORDER_REPLICATE)
+    between = matrix + np.float32([[0, 0, TIE], [0, 0, TIE]])
+    picture, onto = shrunken(scenes.rgb[i], matrix)
+    rgb = cv2.warpAffine(picture, onto, wh, flags=cv2.INTER_LINEAR | flags, borderMode=cv2.BORDER_REPLICATE)
     nearest = cv2.INTER_NEAREST | flags
-    depth = cv2.warpAffine(scenes.depth[i], matrix, wh, flags=nearest).astype(np.float32) / 1000
-    gt = cv2.warpAffine(scenes.depth_gt[i], matrix, wh, flags=nearest).astype(np.float32) / 1000
-    material = cv2.warpAffine(scenes.material[i], matrix, wh, flags=nearest, borderValue=IGNORE)
+    depth = pooled(cv2.warpAffine(scenes.depth[i], between, wh, flags=nearest), scenes.depth[i], matrix)
+    depth = depth.astype(np.float32) / 1000
+    gt = cv2.warpAffine(scenes.depth_gt[i], between, wh, flags=nearest).astype(np.float32) / 1000
+    material = cv2.warpAffine(scenes.material[i], between, wh, flags=nearest, borderValue=IGNORE)
     region = lossy(material)
     if claimed is not None:
-        region |= cv2.warpAffine(claimed.astype(np.uint8), matrix, wh, flags=nearest) > 0
+        region |= cv2.warpAffine(claimed.astype(np.uint8), between, wh, flags=nearest) > 0
     return View(rgb, depth, gt, material, region)
+
+
+def shrunken(rgb: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a scene's picture with pixels as large as the view's, and the matrix into it: colour shrinks by area.
+
+    Args:
+        rgb: (h, w, 3) uint8; returned as it is where the view enlarges.
+        matrix: (2, 3), takes pixels of the view to pixels of ``rgb``.
+    """
+    scale = np.sqrt(abs(np.linalg.det(matrix[:, :2].astype(float))))
+    if scale <= 1:
+        return rgb, matrix
+    height, width = (max(1, round(n / scale)) for n in rgb.shape[:2])
+    factor = np.array([[width / rgb.shape[1]], [height / rgb.shape[0]]])  # of x and y
+    onto = factor * matrix
+    onto[:, 2:] += factor / 2 - 0.5  # centres of pixels have whole numbers
+    return cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA), onto.astype(np.float32)
+
+
+def pooled(small: np.ndarray, image: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Return a view of depth in which a pixel without a reading takes the closest that it covers, as in the system.
+
+    Args:
+        small: (H, W) the view, 0 = missing.
+        image: (h, w) the scene's depth.
+        matrix: (2, 3), takes pixels of the view to pixels of the scene.
+    """
+    linear, shift = matrix[:, :2].astype(float), matrix[:, 2:].astype(float)
+    if abs(np.linalg.det(linear)) <= 1:  # no pixel covers more than one of the scene's
+        return small
+    holes = cv2.dilate((small == 0).astype(np.uint8), np.ones((3, 3), np.uint8))  # and around: roundings may differ
+    near = cv2.warpAffine(holes, matrix, image.shape[::-1], flags=cv2.INTER_NEAREST)
+    rows, columns = np.nonzero((near > 0) & (image > 0))
+    place = np.linalg.solve(linear, np.stack([columns, rows]) - shift)  # (2, N) x and y in the view
+    cell = np.floor(place + 0.5).astype(int)
+    centre = linear @ cell + shift
+    inside = (cell >= 0) & (cell < np.array(small.shape[::-1])[:, None])
+    inside &= (centre >= -0.4) & (centre <= np.array(image.shape[::-1])[:, None] - 0.6)  # no cell beyond the border
+    inside = inside.all(axis=0)
+    order = np.argsort(-((place - cell) ** 2).sum(axis=0), kind="stable")  # the closest is written last
+    order = order[inside[order]]
+    out = small.copy()
+    out[cell[1, order], cell[0, order]] = image[rows[order], columns[order]]
+    return np.where(small > 0, small, out)
 
 
 def placement(

@@ -21,6 +21,7 @@ from ditr_lite.training.views import (
     thin_out,
     window_view,
 )
+from ditr_lite.windows import fit_frame
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +77,28 @@ def test_all_maps_of_a_view_move_together(scenes):
         assert np.array_equal(view.material[seen], millimetres % 3)
         assert np.abs(view.rgb[seen][:, 0] / 2 + 500 - millimetres).max() <= 1.5
         assert (view.material[~seen] == IGNORE).all()
+
+
+def test_a_shrunken_view_keeps_sparse_readings_as_the_system_does(scenes):
+    depth = np.zeros_like(scenes.depth)
+    depth[:, 1::4, 2::4] = 500 + np.arange(192).reshape(12, 16)  # in every other cell of 2 x 2, beside its centre
+    sparse = replace(scenes, depth=depth)
+    view = frame_view(sparse, 0, (24, 32), None)
+    system = fit_frame((48, 64), (24, 32)).into(depth[0].astype(np.float32) / 1000)
+    assert (system > 0).sum() == 12 * 16 and np.array_equal(view.depth, system)
+    assert np.array_equal(view.rgb, fit_frame((48, 64), (24, 32)).into(scenes.rgb[0]))  # colour by area
+    for seed in range(4):  # moved, turned, mirrored: every reading shown survives where it lies
+        angle, mirror = 0.5 * seed, bool(seed % 2)
+        matrix = placement((24, 32), (23.5, 31.5), 2.2, angle, mirror)
+        seen = look(sparse, 0, matrix, (24, 32)).depth
+        rows, columns = np.nonzero(depth[0])
+        x, y = np.linalg.solve(matrix[:, :2], np.stack([columns, rows]) - matrix[:, 2:])
+        u, v = np.rint(x).astype(int), np.rint(y).astype(int)
+        middle = matrix[:, :2] @ np.stack([u, v]) + matrix[:, 2:]  # of the pixel it falls on, which may lie outside
+        shown = (u >= 0) & (u < 32) & (v >= 0) & (v < 24) & ((middle > 0) & (middle < [[63], [47]])).all(axis=0)
+        assert shown.sum() > 60
+        assert (seen[v[shown], u[shown]] > 0).all()
+        assert set(np.rint(1000 * seen[seen > 0]).astype(int)) <= set(depth[0][depth[0] > 0].tolist())
 
 
 def test_views_differ_and_repeat(scenes):
