@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-DIVISOR = 2  # solved at half the working size, like the originals, and scaled back
+DIVISOR = 2  # solved at half the working size, like the originals, and scaled back; _between_blocks is for 2
 FOLLOW = 4.0  # w: how much a predicted gradient counts beside a reading
 LEAST = 0.01  # an edge never cuts a pixel off altogether
 
@@ -44,7 +44,7 @@ def solve(readings: np.ndarray, gradients: np.ndarray, edges: np.ndarray) -> np.
     blocks = readings[: h * DIVISOR, : w * DIVISOR].reshape(h, DIVISOR, w, DIVISOR)
     count = (blocks > 0).sum(axis=(1, 3))
     known = np.where(count, blocks.sum(axis=(1, 3)) / np.maximum(count, 1), 0)  # the mean of a block's readings
-    gx, gy = (DIVISOR * cv2.resize(g.astype(np.float32), (w, h), interpolation=cv2.INTER_AREA) for g in gradients)
+    gx, gy = (_between_blocks(g, axis) for g, axis in zip(gradients, (1, 0), strict=True))
     cut = edges[: h * DIVISOR, : w * DIVISOR].reshape(h, DIVISOR, w, DIVISOR).max(axis=(1, 3))  # thin edges count
     trust = np.maximum(1 - cut, LEAST)
     index = np.arange(h * w).reshape(h, w)
@@ -61,3 +61,15 @@ def solve(readings: np.ndarray, gradients: np.ndarray, edges: np.ndarray) -> np.
     a, b = sparse.vstack([m for m, _ in rows]), np.concatenate([v for _, v in rows])
     log = spsolve((a.T @ a).tocsc(), a.T @ b).reshape(h, w)
     return cv2.resize(np.exp(log).astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def _between_blocks(gradient: np.ndarray, axis: int) -> np.ndarray:
+    """Return what the mean of the next block of 2x2 pixels lies above that of each block, (H/2, W/2).
+
+    From block to block it is two pixels for either line of a block: (g0 + g1 + g1 + g2) / 2.
+    """
+    ends = np.take(gradient, [-1], axis)
+    following = np.concatenate([np.delete(gradient, 0, axis), ends], axis)
+    h, w = (n // DIVISOR * DIVISOR for n in gradient.shape)
+    blocks = (gradient + following)[:h, :w].reshape(h // 2, 2, w // 2, 2)
+    return blocks.sum(axis=(1, 3)) / 4
