@@ -64,8 +64,8 @@ def region_loss(
     half = target_classes[:, ::2, ::2]
     sides = []
     for coarse in outputs["side"]:
-        resized = F.interpolate(coarse, size=half.shape[-2:], mode="bilinear", align_corners=False)
-        sides.append(sum(_class_loss(resized, half, half != IGNORE, weight)))
+        full = F.interpolate(coarse, size=shape[1:], mode="bilinear", align_corners=False)
+        sides.append(sum(_class_loss(full[..., ::2, ::2], half, half != IGNORE, weight)))  # the very pixels of `half`
     side = torch.stack(sides).mean() if sides else logits.new_zeros(())
     edge, true_edge = outputs["boundary"][:, 0], class_boundary(target_classes).to(logits.dtype)
     positive = edge.new_tensor(boundary_positive)

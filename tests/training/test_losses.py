@@ -72,6 +72,23 @@ def test_class_boundary_by_hand():
     assert class_boundary(classes)[0].sum(0).tolist() == [0, 0, 5, 5, 0, 0]
 
 
+def test_side_outputs_are_taught_where_the_outline_is():
+    x = 2 * torch.arange(16) + 0.5  # columns of the full size that a coarse pixel lies at
+
+    def cost(shift):
+        total = 0
+        for first in (14, 15):  # the column where glass begins, an even and an odd one
+            target = (torch.arange(32) >= first).long().repeat(1, 8, 1)
+            ramp = 3 * (x - (first - 0.5 + shift)).repeat(1, 1, 4, 1)
+            logits = torch.cat([-ramp, ramp, -20 + 0 * ramp], dim=1)
+            full = torch.zeros(1, 3, 8, 32)
+            total += region_loss({"logits": full, "side": [logits], "boundary": full[:, :1]}, target)["side"]
+        return float(total)
+
+    before, right, after = (cost(shift) for shift in (-0.5, 0.0, 0.5))
+    assert right < min(before, after) and abs(before - after) < 0.05 * after
+
+
 @pytest.mark.parametrize("beside", [0, 1, 2])
 def test_no_outline_runs_along_what_is_unknown(beside):
     classes = torch.full((1, 5, 6), beside)
