@@ -208,14 +208,12 @@ def spread_over(frames: int) -> str:
 
 def peers(result: dict) -> str:
     """Return the paragraph about learned peers at equal training time, the trained ablation and the oracles."""
-    first = [part for part in result["trained"].values() if part["seed"] == 0]
-    minutes = {arm: sum(part["minutes"] for part in first if part["arm"] == arm) for arm in {p["arm"] for p in first}}
     (scenes,) = {scene_count(part) for part in result["trained"].values()}
-    (each,) = {round(m, 1) for m in minutes.values()}
+    minutes = peer_tables.minutes_each(result)
     height, width = result["settings"]["size"]
     lines = [
         f"**Learned peers at equal training time.** One small network for one idea of each compared system, trained "
-        f"on the same {scenes:,} scenes for {each:g} min of processor time, as were the networks of "
+        f"on the same {scenes:,} scenes for {minutes:g} min of processor time, as were the networks of "
         f"*{peer_tables.EQUAL}*; all at a working size of {width} x {height} pixels, in the same windows, "
         "with the same pretrained colour. *+RR* is the paper's DITR, which the last column holds against each row; "
         f"*{peer_tables.EQUAL}* spends part of its time on our finer final step, whose trust in readings was chosen "
@@ -230,7 +228,7 @@ def peers(result: dict) -> str:
         lines += ["", "On real frames:", "", "```", peer_tables.format_real(result["real"]), "```"]
     if not is_current(result):
         lines += ["", "Shipped rows and regions are of earlier weights than those in the folder."]
-    before = f"python tools/train_peers.py --minutes {each:g}"
+    before = peer_tables.training_command(result)
     return "\n".join([*lines, "", f"Command: `{result['command']}`, after `{before}`{OWN_FRAMES}."])
 
 

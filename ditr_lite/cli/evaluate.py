@@ -298,7 +298,8 @@ def peer_table() -> str:
     from ..studies import peer_tables
 
     report = peer_tables.load_results()
-    return f"{peer_tables.format_study(report)}\n\nCommand: {report['command']}, after python tools/train_peers.py"
+    made = f"{report['command']}, after {peer_tables.training_command(report)}"
+    return f"{peer_tables.format_study(report)}\n\nCommand: {made}"
 
 
 def add_frames(p: ArgumentParser) -> None:

@@ -166,6 +166,21 @@ def holes_verdict(report: Mapping[str, Any]) -> str:
     )
 
 
+def minutes_each(study: Mapping[str, Any]) -> float:
+    """Return the minutes of processor time that every arm of a study was given."""
+    given: dict[str, float] = {}
+    for part in study["trained"].values():
+        if part["seed"] == 0:
+            given[part["arm"]] = given.get(part["arm"], 0.0) + part["minutes"]
+    (each,) = {round(minutes, 1) for minutes in given.values()}
+    return each
+
+
+def training_command(study: Mapping[str, Any]) -> str:
+    """Return the command that trains the arms of a study."""
+    return f"python tools/train_peers.py --minutes {minutes_each(study):g}"
+
+
 def format_training(study: Mapping[str, Any], shipped: tuple[int, int]) -> str:
     """Return how long each arm was trained, in minutes of processor time, and how this differs from the shipped system.
 

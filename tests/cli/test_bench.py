@@ -27,12 +27,13 @@ def test_bench_refuses_before_it_scores(tmp_path, capsys, monkeypatch, argv, rea
 
 
 def test_the_table_of_peers_is_printed_and_nothing_scored(capsys, monkeypatch):
-    report = {"command": "python tools/peer_study.py", "splits": {}}
+    halves = {f"bb_{k}": {"arm": "bb", "seed": 0, "minutes": 0.75} for k in range(2)}
+    report = {"command": "python tools/peer_study.py", "splits": {}, "trained": halves}
     monkeypatch.setattr(peer_tables, "load_results", lambda: report)
     monkeypatch.setattr(peer_tables, "format_study", lambda given: "the table" if given is report else "another")
     assert main(["bench", "--peers"]) == 0
     said = capsys.readouterr().out
-    assert said == "the table\n\nCommand: python tools/peer_study.py, after python tools/train_peers.py\n"
+    assert said == "the table\n\nCommand: python tools/peer_study.py, after python tools/train_peers.py --minutes 1.5\n"
     for more in (["--json", "x.json"], ["--split", "rooms"], ["--no-cost"]):
         assert main(["bench", "--peers", *more]) == 2
         assert f"leave out {more[0]}" in capsys.readouterr().err
