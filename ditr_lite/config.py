@@ -147,11 +147,15 @@ class DetailConfig:
 PREDICTIONS = ("x0", "eps", "v")  # what a denoiser may be trained to predict
 
 
+OBJECTIVES = ("completion", "eq8")
+
+
 @dataclass(frozen=True)
 class SamplerConfig:
     """How stage two samples by default."""
 
     prediction: str = "x0"  # what the U-Net predicts: "x0" (the paper's x_theta, Eq. 9), "eps" or "v"
+    objective: str = "completion"  # of its training: "eq8" as the paper has it, or what one step must get right
     steps: int = 1
     samples: int = 4
     eta: float = 0.0  # noise that each step adds: 0 is DDIM, 1 with all steps the paper's DDPM (Sec. III)
@@ -160,6 +164,8 @@ class SamplerConfig:
         _at_least(1, "sampler", steps=self.steps, samples=self.samples)
         if not 0 <= self.eta <= 1:
             raise ValueError(f"sampler.eta: expected a number from 0 to 1, got {self.eta}")
+        if self.objective not in OBJECTIVES:
+            raise ValueError(f"unknown sampler.objective {self.objective!r}; choose one of {', '.join(OBJECTIVES)}")
         if self.prediction not in PREDICTIONS:
             raise ValueError(f"unknown sampler.prediction {self.prediction!r}; choose one of {', '.join(PREDICTIONS)}")
 
@@ -256,7 +262,7 @@ PRESETS: dict[str, Config] = {
         autoencoder=AutoencoderConfig(latent_channels=3, codes=8192, width=128, multipliers=(2, 4), res_blocks=2),
         unet=UNetConfig(width=64, block="plain", cond_channels=64, heads=1, anchor=False, colour_channels=()),
         detail=DetailConfig(width=0),
-        sampler=SamplerConfig(prediction="x0", steps=1000, samples=1, eta=1.0),
+        sampler=SamplerConfig(prediction="x0", objective="eq8", steps=1000, samples=1, eta=1.0),
         evidence=False,
     ),
 }

@@ -280,5 +280,5 @@ def score_single(
     given = condition(views.rgb, views.depth_n, views.valid, nowhere, views.guide, evidence=False)
     where = paint if windows else torch.ones_like(paint)
     mask = F.avg_pool2d(where * batch.gt_known, 4) + (0.05 if windows else 0.0)
-    schedule, prediction = make_schedule(config.schedule), config.sampler.prediction
-    return {"total": recipes.denoising_loss(painter, batch, given, mask, schedule, prediction, share)}
+    schedule = make_schedule(config.schedule)
+    return {"total": recipes.denoising_loss(painter, batch, given, mask, schedule, config.sampler, share)}

@@ -48,6 +48,7 @@ TOUCHES = {  # what has to be trained again when a setting, or one below it, cha
     "schedule": ("optical", "geometric", "detail"),
     "unet": ("optical", "geometric", "detail"),
     "sampler.prediction": ("optical", "geometric", "detail"),
+    "sampler.objective": ("optical", "geometric", "detail"),
     "sampler.steps": (),
     "sampler.samples": (),
     "sampler.eta": (),

@@ -26,6 +26,7 @@ SETTINGS: dict[str, dict[str, str]] = {
     "predicts x0, not what to add": {"unet.anchor": "false"},
     "predicts eps, 10 steps": {"sampler.prediction": "eps", **MANY},
     "predicts v, 10 steps": {"sampler.prediction": "v", **MANY},
+    "Eq. 8 as the paper has it, 10 steps": {"sampler.objective": "eq8", **MANY},
     "cosine schedule": {"schedule.name": "cosine"},
     "no evidence": {"evidence": "false"},
     "the latent asks": {"unet.query": "latent"},

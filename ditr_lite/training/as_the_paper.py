@@ -16,7 +16,7 @@ from .batches import Batch, epoch_frames, steps_of_an_epoch
 from .loop import FALL, Losses, Recipe, Share, Step, fall_by, fit
 from .losses import region_loss
 from .recipes import CLASS_WEIGHTS
-from .scenes import Scenes
+from .scenes import Pool, Scenes
 
 EPOCHS, BATCH, MOMENTUM, WEIGHT_DECAY = 200, 16, 0.9, 1e-4  # stage one
 # its optimiser; nothing is clipped or averaged: the last weights are what remains
@@ -101,7 +101,7 @@ def train_region(
     validate: Callable[[], dict[str, float]] | None = None,
     size: tuple[int, int] | None = None,
 ) -> list[dict[str, float]]:
-    """Train stage one in place, in epochs (Paper: Sec. V-B; three classes, deep supervision and boundary as in IV-B).
+    """Train stage one in place, in epochs (Paper: Sec. V-B), by our loss: the paper names none.
 
     Args:
         model: a ``region.RegionNet``.
@@ -125,7 +125,7 @@ def train_region(
     per_epoch = steps_of_an_epoch(len(scenes), batch)
     recipe = Recipe(epochs * per_epoch, batch, PEAK, **SGD)
     size = scenes.depth.shape[1:] if size is None else size
-    draw = partial(epoch_frames, scenes, size, batch, seed, None)
+    draw = partial(epoch_frames, Pool([scenes]), size, batch, seed, None)
     seen: list[dict[str, float]] = []
     rates: list[float] = []
 

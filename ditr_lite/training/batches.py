@@ -157,7 +157,7 @@ def steps_of_an_epoch(scenes: int, count: int) -> int:
 
 
 def epoch_frames(
-    scenes: Scenes,
+    pool: Pool,
     size: tuple[int, int],
     count: int,
     seed: int,
@@ -170,15 +170,15 @@ def epoch_frames(
     In an epoch every scene is seen once, in random order; its last batch may be smaller, unless it must be shared:
     then it is filled up from the epoch's beginning.
     """
-    epoch, place = divmod(step, steps_of_an_epoch(len(scenes), count))
-    order = np.random.default_rng([seed, epoch]).permutation(len(scenes))
+    epoch, place = divmod(step, steps_of_an_epoch(len(pool), count))
+    order = np.random.default_rng([seed, epoch]).permutation(len(pool))
     if share.of > 1:
-        order = np.resize(order, count * steps_of_an_epoch(len(scenes), count))
+        order = np.resize(order, count * steps_of_an_epoch(len(pool), count))
     chosen = order[place * count : (place + 1) * count]
     generators = np.random.default_rng([seed, epoch, place]).spawn(len(chosen))
     views = []
     for i, own in share.take(list(zip(chosen, generators, strict=True))):
-        views.append(disturb(frame_view(scenes, i, size, own), own))
+        views.append(disturb(frame_view(*pool[int(i)], size, own), own))
     return batch_of(views, backend)
 
 

@@ -38,7 +38,7 @@ from .loop import Losses, Recipe, Share, Step, fit
 from .losses import region_loss
 from .parts import painter_of
 from .recipes import CLASS_WEIGHTS
-from .scenes import Scenes
+from .scenes import Pool, Scenes
 
 RATE, EPOCHS = 1e-3, 50  # the paper's
 STEEPNESS = 20.0
@@ -198,7 +198,7 @@ def finetune_region(
         raise ValueError(f"expected steps and batch of at least 1, got {steps} and {batch}")
     model.requires_grad_(True)
     recipe = Recipe(steps, batch, rate, law="constant", **SGD)
-    draw = partial(epoch_frames, scenes, config.size, batch, seed, get_backend(boundary))
+    draw = partial(epoch_frames, Pool([scenes]), config.size, batch, seed, get_backend(boundary))
     rows: list[dict[str, float]] = []
     score = partial(score_final, model, paints, config, rmse_weight, straight_through)
     fit("fine-tuning", model, Step(draw, score), recipe, None, seed=seed, watch=lambda _, losses: rows.append(losses))

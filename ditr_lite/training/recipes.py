@@ -18,12 +18,12 @@ from .. import diffusion
 from ..autoencoder import VQAutoencoder
 from ..boundary import Backend
 from ..conditioning import condition, fill
-from ..config import Config
+from ..config import Config, SamplerConfig
 from ..detail import detail_input
 from ..region import ColourEncoder
-from ..schedule import NoiseSchedule, make_schedule
+from ..schedule import NoiseSchedule, eq8_weight, make_schedule
 from ..stage_two import Painter, cl, encode_picture
-from .batches import Batch, draw_frames, draw_windows
+from .batches import Batch, draw_frames, draw_windows, epoch_frames
 from .loop import WHOLE, Losses, Recipe, Share, Step
 from .losses import autoencoder_loss, region_loss
 from .scenes import Pool
@@ -50,12 +50,16 @@ def rng_of(seed: int, step: int) -> np.random.Generator:
 
 
 def region_step(model: nn.Module, pool: Pool, config: Config, recipe: Recipe, seed: int = 0) -> Step:
-    """Stage one: three classes, deep supervision, boundary loss (Paper: Sec. IV-B).
+    """Stage one (Paper: Sec. IV-B; three classes, deep supervision and a loss of its boundary are ours).
 
-    Variety first, then frames as they will be met: in the last :data:`STILL` of the steps most frames are not moved.
+    Variety first, then frames as they will be met: in the last :data:`STILL` of the steps most frames are not moved. A
+    recipe in epochs, the paper's, shows every frame once an epoch instead, where all frames are to be seen alike often.
     """
     freeze_early(model)
-    return Step(partial(draw_region, pool, config, recipe, seed), partial(score_region, model))
+    draw = partial(draw_region, pool, config, recipe, seed)
+    if recipe.law == "falling" and pool.even:
+        draw = partial(epoch_frames, pool, config.look(), recipe.batch, seed, None)
+    return Step(draw, partial(score_region, model))
 
 
 def draw_region(pool: Pool, config: Config, recipe: Recipe, seed: int, step: int, share: Share) -> Batch:
@@ -83,7 +87,7 @@ def freeze_early(model: nn.Module) -> None:
 def autoencoder_step(
     model: VQAutoencoder, pool: Pool, config: Config, recipe: Recipe, seed: int = 0, crop: int = CROP
 ) -> Step:
-    """Autoencoder: ground-truth depth, random crops of windows and frames, edges weighted (Paper: Sec. IV-C)."""
+    """Autoencoder (Paper: Sec. IV-C; its loss is ours): true depth in random crops of windows and frames."""
     draw = partial(draw_crops, pool, config, recipe, seed, crop, model.factor)
     return Step(draw, partial(score_autoencoder, model))
 
@@ -148,7 +152,7 @@ def guide_and_paint(branch: str, batch: Batch) -> tuple[Tensor, Tensor]:
 def branch_step(
     branch: str, painter: Painter, pool: Pool, config: Config, recipe: Recipe, backend: Backend, seed: int = 0
 ) -> Step:
-    """Denoiser of one branch (Paper: Eq. 8): cells that it must paint count fully, all others a little.
+    """Denoiser of one branch: by ``sampler.objective`` Eq. 8, or that with cells to be painted counting most.
 
     The target is Enc(ground truth). The paper's ``L = Enc(D_in)`` cannot be: it would teach the raw depth. In-region
     evidence is withheld from some batches, so that the branch learns to do without.
@@ -185,7 +189,9 @@ def score_branch(
     batch, evidence = drawn
     given, paint = branch_inputs(branch, batch, config, evidence=evidence)
     mask = F.avg_pool2d(paint * batch.gt_known, 4) + 0.05
-    return {"total": denoising_loss(painter, batch, given, mask, schedule, config.sampler.prediction, share)}
+    if config.sampler.objective == "eq8":
+        mask = torch.ones_like(mask)
+    return {"total": denoising_loss(painter, batch, given, mask, schedule, config.sampler, share)}
 
 
 def denoising_loss(
@@ -194,7 +200,7 @@ def denoising_loss(
     given: tuple[Tensor, Tensor, Tensor],
     mask: Tensor,
     schedule: NoiseSchedule,
-    prediction: str,
+    sampler: SamplerConfig,
     share: Share = WHOLE,
 ) -> Tensor:
     """Noise the encoded truth of a batch and score what the denoiser makes of it (Paper: Eq. 8).
@@ -205,27 +211,32 @@ def denoising_loss(
         given: what the denoiser is given, from ``condition``.
         mask: (B, 1, h, w) weight of each latent cell.
         schedule: of the noise.
-        prediction: what the denoiser predicts.
+        sampler: what the denoiser predicts, and what it is trained for: by "eq8" all steps are drawn alike and the
+            distance is that of the noise; otherwise :data:`LAST_STEP_SHARE` of them is the last, and the distance is
+            that of the prediction.
         share: of the whole batch that these views are.
     """
     image, filled, known = given
     with torch.no_grad():
         masked = painter.autoencoder.encode(cl(filled))
         x0 = painter.autoencoder.encode(cl(fill(batch.gt_n, batch.gt_known))).float()  # also where bfloat16 computes
-    t, eps = noise_of(x0, schedule.timesteps, share)
+    eq8 = sampler.objective == "eq8"
+    t, eps = noise_of(x0, schedule.timesteps, share, 0.0 if eq8 else LAST_STEP_SHARE)
     x_t = diffusion.q_sample(x0, t, eps, schedule)
     out = painter.net(x_t, t, encode_picture(painter, image, batch.rgb), masked, known)
-    return diffusion.loss(out.float(), x0, eps, t, schedule, prediction, mask=mask)
+    weight = eq8_weight(schedule, sampler.prediction) if eq8 else None
+    return diffusion.loss(out.float(), x0, eps, t, schedule, sampler.prediction, weight, mask)
 
 
-def noise_of(x0: Tensor, timesteps: int, share: Share = WHOLE) -> tuple[Tensor, Tensor]:
+def noise_of(x0: Tensor, timesteps: int, share: Share = WHOLE, last: float = LAST_STEP_SHARE) -> tuple[Tensor, Tensor]:
     """Draw a share's steps t (B,) and noise like ``x0``, (B, C, h, w), out of those of the whole batch.
 
-    They come from torch's generator of the CPU, so that a seed means the same on every device.
+    Of the steps the share ``last`` is T - 1; all others are drawn alike. Steps and noise come from torch's generator of
+    the CPU, so that a seed means the same on every device.
     """
     whole = torch.cat([x0] * share.of) if share.of > 1 else x0
     t = torch.randint(0, timesteps, (len(whole),))
-    t[: int(LAST_STEP_SHARE * len(whole))] = timesteps - 1
+    t[: int(last * len(whole))] = timesteps - 1
     eps = torch.randn_like(whole, device="cpu")
     return share.take(t).to(x0.device), share.take(eps).to(x0.device)
 

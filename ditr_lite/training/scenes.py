@@ -62,6 +62,19 @@ class Pool:
     def __len__(self) -> int:
         return sum(len(g) for g in self.groups)
 
+    def __getitem__(self, place: int) -> tuple[Scenes, int]:
+        """Return the group and the place in it of scene ``place`` of all."""
+        for group in self.groups:
+            if place < len(group):
+                return group, place
+            place -= len(group)
+        raise IndexError(f"the pool has {len(self)} scenes")
+
+    @property
+    def even(self) -> bool:
+        """Whether every scene is drawn alike often."""
+        return np.allclose(self.shares, np.array([len(g) for g in self.groups]) / len(self))
+
     def pick(self, rng: np.random.Generator) -> tuple[Scenes, int]:
         """Draw a group and a scene of it."""
         group = self.groups[int(rng.choice(len(self.groups), p=self.shares))]

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +12,13 @@ from made_scenes import make_scenes
 
 from ditr_lite import diffusion
 from ditr_lite.autoencoder import VQAutoencoder
+from ditr_lite.boundary import get_backend
 from ditr_lite.conditioning import CHANNELS
-from ditr_lite.config import preset
+from ditr_lite.config import override, preset
+from ditr_lite.pipeline import build
 from ditr_lite.region import RegionNet
 from ditr_lite.schedule import make_schedule
+from ditr_lite.training import recipes
 from ditr_lite.training.as_the_paper import (
     BASE_RATE,
     BATCH,
@@ -30,8 +34,10 @@ from ditr_lite.training.as_the_paper import (
     train_region,
     trosnet_learning_rate,
 )
-from ditr_lite.training.loop import Recipe, learning_rate, optimiser_of
+from ditr_lite.training.loop import WHOLE, Recipe, learning_rate, optimiser_of
 from ditr_lite.training.losses import autoencoder_loss, region_loss
+from ditr_lite.training.parts import painter_of
+from ditr_lite.training.scenes import Pool, every, first
 from ditr_lite.unet import DenoisingUNet
 
 
@@ -206,3 +212,36 @@ def test_a_step_of_training_runs_at_the_papers_widths(case, lr):
     assert not without and torch.isfinite(before) and loss() < before
     more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak
     assert more < 2e6 * (1024 if sys.platform == "darwin" else 1)  # under 2 GB; kilobytes, on macOS bytes
+
+
+def test_the_papers_preset_minimises_eq_8(monkeypatch):
+    scored, loss = [], diffusion.loss
+    monkeypatch.setattr(recipes.diffusion, "loss", lambda *a: scored.append(a) or loss(*a))
+    tiny = override(preset("tiny"), **{"evidence": False})
+    eq8 = override(tiny, **{"sampler.objective": preset("paper").sampler.objective})
+    pool, totals = Pool([make_scenes(2, (64, 96))]), []
+    for config in (tiny, eq8):
+        torch.manual_seed(0)
+        painter = painter_of("geometric", build(config), config)
+        how = (config, Recipe(9, 8, 1e-3), get_backend("classical"))
+        totals.append(float(recipes.branch_step("geometric", painter, pool, *how)(0)["total"]))
+    (_, _, _, t_ours, *_, no_weight, ours), (out, x0, eps, t, schedule, _, _, mask) = scored
+    assert (t_ours == 999).sum() == 4 and (t == 999).sum() == 0  # half of a batch is the last step; or any may come
+    assert no_weight is None and ours.min() < 1 and (mask == 1).all()  # every cell counts alike
+    x_t = diffusion.q_sample(x0, t, eps, schedule)
+    noise = diffusion.eps_from_x0(x_t, t, out, schedule)
+    assert totals[1] == pytest.approx(float(((noise - eps) ** 2).mean()), rel=1e-3)
+    with pytest.raises(ValueError, match="unknown sampler.objective 'eq9'; choose one of completion, eq8"):
+        override(tiny, **{"sampler.objective": "eq9"})
+
+
+def test_in_the_papers_epochs_every_frame_is_seen_once():
+    depth = np.stack([np.full((64, 96), 1000 * 2**k, np.uint16) for k in range(4)])  # told apart by their distance
+    few = replace(make_scenes(4, (64, 96)), depth=depth, depth_gt=depth)
+    config, recipe = preset("tiny"), replace(paper_recipe("region", scenes=4), batch=3, epoch=2)
+    step = recipes.region_step(net(), Pool([first(few, 2), every(few, [2, 3])]), config, recipe)
+    for epoch in range(3):
+        lows = [step.draw(k, WHOLE).bounds.low.flatten() for k in (2 * epoch, 2 * epoch + 1)]
+        assert len({round(10 * float(low)) for low in torch.cat(lows)}) == 4
+    uneven = recipes.region_step(net(), Pool([few, few], [0.9, 0.1]), config, recipe)
+    assert uneven.draw.func is recipes.draw_region  # shares that were asked for are kept

@@ -122,7 +122,8 @@ def test_in_order_means_once_and_as_they_are(scenes):
 
 def test_shuffled_means_once_in_an_order_of_its_own(scenes):
     def order(seed):
-        middles = torch.cat([epoch_frames(many, SIZE, 3, seed, None, step).bounds.low.flatten() for step in (0, 1)])
+        drawn = [epoch_frames(Pool([many]), SIZE, 3, seed, None, step) for step in (0, 1)]
+        middles = torch.cat([batch.bounds.low.flatten() for batch in drawn])
         return [int(m * 10 + 0.5) for m in middles]
 
     depth = np.stack([np.full(SIZE, 1000 * 2**k, np.uint16) for k in range(5)])  # told apart by their distance
@@ -130,8 +131,8 @@ def test_shuffled_means_once_in_an_order_of_its_own(scenes):
     many = type(many)(many.names, many.rgb, depth, depth, many.material, many.instances)
     assert sorted(order(0)) == sorted(order(1)) and len(set(order(0))) == 5
     assert order(0) == order(0) and any(order(s) != order(0) for s in range(1, 5))
-    assert [len(epoch_frames(many, SIZE, 3, 0, None, step).rgb) for step in range(4)] == [3, 2, 3, 2]
-    shares = [epoch_frames(many, SIZE, 4, 0, None, 1, Share(k, 2)) for k in (0, 1)]  # filled up to be divided
+    assert [len(epoch_frames(Pool([many]), SIZE, 3, 0, None, step).rgb) for step in range(4)] == [3, 2, 3, 2]
+    shares = [epoch_frames(Pool([many]), SIZE, 4, 0, None, 1, Share(k, 2)) for k in (0, 1)]  # filled up to be divided
     assert [len(b.rgb) for b in shares] == [2, 2]
 
 
