@@ -4,7 +4,7 @@ Everything is loaded on first use, so the import itself costs nothing: ``dl.load
 ``dl.Ditr`` brings in torch, ``dl.metrics`` is the module of that name. The top reads as the paper does:
 
     what everything stands on   units config camera files data store
-    why depth is missing        loss_types: Type I and Type II, the paper's partition
+    why depth is missing        loss_types: optical and geometric, the paper's partition
     the way into a network      conditioning: depth to tensors and back, bounds; windows: the size it needs
     stage one                   region/: network, refinement; its pretrained encoder of colour
     the guides                  boundary/: maps, truth, backends

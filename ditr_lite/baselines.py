@@ -1,8 +1,8 @@
 """What else one could do: simple completions in the big one's call shape, ``f(rgb, depth, region) -> dense depth``.
 
 Each stands for an idea, not for any published system. Except where a name says ``keep`` or ``raw``, readings inside the
-region are thrown away, as the paper does (Paper: Sec. IV-A), and it is filled from what surrounds it. Readings that are
-kept come back bit for bit.
+region are thrown away, as we read the paper (Paper: Sec. IV-A), and it is filled from what surrounds it. Readings that
+are kept come back bit for bit.
 """
 
 from collections.abc import Callable, Iterable

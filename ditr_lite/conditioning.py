@@ -140,7 +140,7 @@ def condition(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Assemble what a branch is given.
 
-    Paper: Sec. IV-A: the mask is multiplied with the depth, so nothing inside the region counts as known. Departure:
+    Paper: Sec. IV-A multiplies masks with the depth. Our reading: nothing inside the region counts as known. Departure:
     ``evidence`` shows the in-region readings in channels of their own, *not* as known depth: on real frames they are
     1.5 to 5 cm off, which is closer than any fill from outside comes. They are filled, too: the channel says how far
     a fill from all readings lies from a fill from those outside.

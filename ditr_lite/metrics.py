@@ -243,7 +243,7 @@ def average(results: Sequence[Mapping[str, Scores | None]]) -> dict[str, dict | 
 
     The mean leaves out images without such pixels. "pooled" is the score of all pixels of all images thrown together:
     it weighs an image by its pixels, and pooled RMSE averages squares before the root. Mixing the two within one table
-    can put RMSE below MAE, which neither kind of average alone can do (as happens in the paper's Table V).
+    can put RMSE below MAE, which neither kind of average alone can do (as happens in the paper's Tables I and II).
 
     Returns:
         One entry per set: {each metric: mean over images, "n": pixels, "images": images with such pixels,

@@ -31,8 +31,8 @@ from .windows import Claim, Completion, Frame, Layer, Painting, close_ups, fit_f
 def compose(depth: np.ndarray, optical: np.ndarray, geometric: np.ndarray, region: np.ndarray) -> np.ndarray:
     """Return the composed depth: the optical branch inside the region, the geometric one in holes, the rest kept.
 
-    Paper: Sec. IV-A, "inside the mask, the depth values are re-estimated [...] outside the mask, the missing depth
-    values are re-generated, and the original depth values are kept".
+    Paper: Sec. IV-A, "Inside the mask, the depth values are re-estimated [...] Outside the mask, the missing depth
+    values are re-generated, and the original depth values are kept or adjusted" (``adjust=True`` of :class:`Ditr`).
 
     Args:
         depth: (H, W) float32 raw metres, 0 = missing.

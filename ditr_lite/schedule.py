@@ -1,7 +1,7 @@
 """Noise schedules: how fast the diffusion step drowns a latent in noise.
 
-Paper: Sec. IV-C "Diffusion Step"; 1,000 steps, Sec. V-B. The paper does not say which schedule it used; as its
-autoencoder and denoiser follow latent diffusion (LDM), the default here is LDM's, linear in the square root of beta.
+Paper: Sec. IV-C "Diffusion Step"; 1,000 steps, Sec. V-B. The paper does not say which schedule it used; as it
+works in latent space after latent diffusion (LDM), the default here is LDM's, linear in the square root of beta.
 
 Notation (t counts from 0 in code: t = 0 is the *least* noisy step, t = T - 1 the noisiest; t = -1 means clean):
 

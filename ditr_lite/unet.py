@@ -97,7 +97,7 @@ class CrossAttentionLatentQuery(Attention):
 
 
 class PlainBlock(nn.Module):
-    """Two 3x3 convolutions, each followed by ReLU (the paper's), with the time added after the first."""
+    """Two 3x3 convolutions, each followed by ReLU (on the way up the paper names one), time added after the first."""
 
     def __init__(self, in_channels: int, channels: int, time_channels: int):
         super().__init__()

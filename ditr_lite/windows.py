@@ -4,9 +4,9 @@ First :class:`Frame` and :class:`Window`, then the results: a :class:`Claim` of 
 :class:`Painting`, and the :class:`Completion` that a caller is given, whose maps are made when they are asked for.
 
 A window is where the optical branch looks closely, one square around each blob of the region. Not in the paper, which
-works on whole frames at a size it does not name. On a laptop the working size is small, and a glass that is 60 pixels
-wide in a camera's picture would be 12 pixels wide in it. So stage one looks at the whole frame, and the optical branch
-is given squares twice as wide as what it must paint.
+works on whole frames and names a size only where it measures time (Table VI). On a laptop the working size is small,
+and a glass that is 60 pixels wide in a camera's picture would be 12 pixels wide in it. So stage one looks at the whole
+frame, and the optical branch is given squares twice as wide as what it must paint.
 """
 
 from collections.abc import Callable

@@ -1,8 +1,8 @@
 """Boundary maps that guide stage two: M_RGB from colour, M_D from depth, M_DA where both agree.
 
-Paper: Sec. IV-C "Feature Extractor". The paper runs SAM (ViT-L) on RGB and on depth and calls the outlines of its
-masks M_RGB and M_D; how a set of masks becomes a map is not said. Here anything that turns an image into a bool map
-is a backend, see ``backends``.
+Paper: Sec. IV-C "Feature Extractor". The paper runs SAM (ViT-L) on RGB and on depth, which gives masks, and gets
+the maps M_RGB and M_D; how, it does not say. We take the masks' outlines. Here anything that turns an image into a bool
+map is a backend, see ``backends``.
 
 Convention: a boundary belongs to the surface in front: the marked pixels are its outermost ones, one pixel wide.
 """

@@ -380,7 +380,7 @@ def add_dataset(p: ArgumentParser) -> None:
     p.add_argument(
         "--zero-region",
         action="store_true",
-        help="set the dataset's readings inside the region to zero (the paper)",
+        help="set the dataset's readings inside the region to zero (the paper, on ClearGrasp)",
     )
 
 

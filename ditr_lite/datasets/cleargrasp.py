@@ -26,7 +26,7 @@ class ClearGrasp(FrameFolder):
     frame, suffix = "*-transparent-depth-img.exr", "-transparent-depth-img.exr"
     splits = ("real-val", "real-test")
     protocol = (
-        "Paper, Sec. V-C: test only, 286 frames by Sec. V-A; scores on pixels with ground truth. 'We do not "
+        "Paper, Sec. V: 286 frames, which we read as test frames only; scores on pixels with ground truth. 'We do not "
         "differentiate the training and testing process': keep real-test out of whatever you tune."
     )
 

@@ -77,7 +77,7 @@ def check_square(attempt: Function) -> bool:
 def check_given(attempt: Function) -> bool:
     """Check ``attempt(depth, region) -> (known, evidence)``, two (H, W) bool masks.
 
-    ``known`` are the readings that count as depth, valid and outside the region (the paper's mask times depth);
+    ``known`` are the readings that count as depth, valid and outside the region (our reading of mask times depth);
     ``evidence`` are the readings inside it, which may be looked at and not believed.
     """
 

@@ -354,10 +354,11 @@ _ROWS = [
     ),
     (
         "Sec. IV-A",
-        "inside the mask depth is re-estimated, the readings are dropped",
+        "masks times depth go to the branches: literally the optical one gets the readings inside; for ClearGrasp they "
+        "are set to zero (Sec. V-C)",
         in_region_evidence,
-        "in part",
-        "readings inside are evidence; two baselines keep them",
+        "contradictory",
+        "readings inside are evidence, never known depth; two baselines keep them",
         "08_ablations",
     ),
     (
@@ -373,7 +374,7 @@ _ROWS = [
         "the feature is the query, L_t key and value",
         attention,
         "in part",
-        "both built, the printed one and latent diffusion's",
+        "both built: the printed one, as Perceiver IO's decoder asks, which the paper cites, and latent diffusion's",
         "04_ddpm_math",
     ),
     (
@@ -402,8 +403,8 @@ _ROWS = [
         "09_your_own_camera",
     ),
     (
-        "Sec. V-C",
-        "DITR surpasses all previous methods",
+        "Sec. V-C, V-G",
+        "DITR surpasses all previous (on TODD) or other methods",
         surpassed,
         "no",
         "intervals, and ties and defeats named",

@@ -387,7 +387,7 @@ class Adversarial(Idea):
 class SelfSupervised(Idea):
     """SRD's idea, self-supervision, with one camera: depth from colour, taught and scaled by the sensor's readings.
 
-    SRD learns from a second view; a single RGB-D frame has its readings instead. No true depth is asked for. The
+    SRD learns from neighbouring frames; a single RGB-D frame has its readings instead. No true depth is asked for. The
     prediction is scaled and shifted to the readings outside the region (least squares); what it then differs from them
     by is the loss, beside a smoothness that yields at edges of the picture. In the claimed region nothing teaches it;
     where the claim is too small readings on glass do, and training lets the sensor read some of these as they are.

@@ -1,6 +1,6 @@
 """The colour encoder: most of EfficientNet-Lite0 as ImageNet left it, with batch normalisation folded in.
 
-Not in the paper, which trains TROSNet on real pictures of glass; rendered scenes are too few to learn colour from.
+Not in the paper, which trains TROSNet on each dataset; rendered scenes are too few to learn colour from.
 Tan & Le 2019 (EfficientNet), the "Lite0" variant: no squeeze-and-excitation, ReLU6. Kept are the stages
 up to stride 16, 0.7 million parameters, which stage two sees, too, and two of four blocks at stride 32, as many again.
 The weights are Google's, under the Apache licence 2.0 (see ``weights/NOTICE``).

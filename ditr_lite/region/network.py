@@ -170,8 +170,8 @@ class RegionNet(nn.Module):
     """Classify every pixel as background, transparent or reflective from RGB and raw depth.
 
     Paper: Sec. IV-B, S1. Two encoders, fusion at every level, a decoder that adds finer fused features on its way up,
-    side outputs for deep supervision, boundary refinement at stride 2. Attention and further blocks are ours; without
-    them (0 of each) it is the network that the ``paper`` preset takes.
+    boundary refinement at stride 2. Side outputs for deep supervision and classes are ours, attention and more blocks
+    too; without the last two (0 of each) it is the network that the ``paper`` preset takes.
 
     The depth encoder also sees the validity mask: that a reading is missing is evidence too.
     """
@@ -238,7 +238,7 @@ def refine_region(mask: np.ndarray, median: int = 7, dilate: int = 5, iterations
     """Smooth a region mask with a median filter, then grow it by dilation.
 
     Paper: Sec. IV-B, S2, median 7x7, then dilation 5x5 in 3 iterations (together one 13x13 dilation, 6 pixels a side).
-    The paper names no resolution; these are pixels of the mask given, so at 256x192 they roughly double a true region.
+    Of no named resolution; these are pixels of the mask given, so at 256x192 they roughly double a true region.
     Borders: the median repeats the border pixel outwards; beyond the border nothing dilates inwards.
 
     Args:

@@ -24,7 +24,7 @@ RESULTS = WEIGHTS / "results_peers.json"
 PICTURES = SAMPLES / "peers"  # what each peer painted where it failed
 SETS = ("optical", "geometric", "whole")
 SHIPPED, EQUAL = "ditr", "ditr, equal time"
-PAPERS = "+RR, seed 0"  # the paper's DITR at equal time, what peers are held against: our final step is not part of it
+PAPERS = "+RR, seed 0"  # two branches as in the paper's DITR, at equal time: what peers are held against
 ORACLES = {  # what is put in the place of one part of the shipped system
     "true region": "stage one never errs",
     "no detail network": "the branches as decoded",

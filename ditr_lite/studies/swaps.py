@@ -76,7 +76,7 @@ SWAPS: dict[str, Swap] = {
     "default": Swap("the shipped system"),
     "guides swapped": Swap("M_RGB guides the optical branch, M_DA the geometric one", (M_RGB, M_DA)),
     "no guide": Swap("both branches get an empty boundary map", (None, None)),
-    "no evidence": Swap("the readings inside the region are hidden, as in the paper", evidence=False),
+    "no evidence": Swap("the readings inside the region are hidden, as we read the paper", evidence=False),
     "no detail": Swap("the decoder's depth as it is, as in the paper", detail=False),
     "exact region": Swap("windows show the region as it is, not two pixels wider", rim=0),
     "optical everywhere": Swap("the optical branch also fills the holes outside", only="optical"),

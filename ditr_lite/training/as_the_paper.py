@@ -3,7 +3,8 @@
 Stage one: "we set batch size, momentum, and weight decay to 16, 0.9, and 0.0001. We implement a mix of a trigonometric
 factor and an exponential factor as the learning rate. We train with an epoch number of 200." Stage two: batches of 64
 at a rate of 1e-6. The shipped weights were made by ``recipes`` instead (AdamW, a warm-up and a cosine in each run,
-hours); this file is what the paper says, run by tests and in notebook 02 at a small size.
+hours); this file is what the paper says of optimiser, batch, epochs and rate, run by tests and in notebook 02. What a
+step makes small follows from the preset: ``sampler.objective``, for one.
 """
 
 import math
