@@ -94,7 +94,7 @@ two extractors: M_DA guides the optical branch, M_RGB the geometric one
 
 S9 | done | 06_full_pipeline | 11 · Put the windows back, and compose
 pipeline.compose | test_composition.py::test_composition_follows_the_rule_pixel_by_pixel
-mask × depth splits to two branches; inside re-estimated, outside filled, the rest kept
+mask × depth splits to two branches; inside re-estimated, outside filled, the rest kept or adjusted
 
 T1 | done | 07_metrics | 7 · Audit the paper's tables
 paper.audit.audit_table | paper/test_audit.py::test_the_impossible_rows_of_tables_1_and_2

@@ -5,6 +5,7 @@ from .grids import Panel, compare, contact_sheet, grid, row, save_panel
 from .lines import curves, plot
 from .panels import (
     GREY,
+    MUTED,
     OKABE_ITO,
     Picture,
     depth,
@@ -20,6 +21,7 @@ from .panels import (
 
 __all__ = [
     "GREY",
+    "MUTED",
     "OKABE_ITO",
     "Panel",
     "Picture",

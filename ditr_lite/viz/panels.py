@@ -6,7 +6,7 @@ pixels without a value are grey, a colour in none of the maps, and their number 
 
 import base64
 import builtins
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from io import BytesIO
 from textwrap import wrap
@@ -27,6 +27,15 @@ from PIL.PngImagePlugin import PngInfo
 from ..camera import Camera, unproject
 from ..units import check_metres
 
+OUTLINES = (
+    "#E69F00",
+    "#56B4E9",
+    "#CC79A7",
+    "#009E73",
+    "#D55E00",
+)  # of masks, side by side at times
+# Tol's muted colours: for a second set of codes beside one in OKABE_ITO
+MUTED = ("#332288", "#88CCEE", "#117733", "#DDCC77", "#CC6677", "#AA4499", "#44AA99", "#882255")
 OKABE_ITO = ("#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#000000")
 GREY = "#9E9E9E"  # no value
 # The narrowest column of the book at a screen's size has 736 pixels: there, type of 9.9 pt in a figure of 800 pixels is
@@ -210,12 +219,12 @@ def rgb(
         raise ValueError(f"a picture should be (H, W, 3) uint8, got {image.shape} {image.dtype}")
     named = regions if isinstance(regions, Mapping) else {} if regions is None else {"": regions}
     drawn = ax.imshow(image, interpolation="nearest")
-    for mask, colour in zip(named.values(), OKABE_ITO, strict=False):
+    for mask, colour in zip(named.values(), OUTLINES, strict=False):
         if mask.shape != image.shape[:2] or mask.dtype != bool:
             raise ValueError(f"a mask should be {image.shape[:2]} bool, got {mask.shape} {mask.dtype}")
         outline(ax, mask, colour)
     if any(named):
-        handles = [Line2D([], [], color=colour, label=label) for label, colour in zip(named, OKABE_ITO, strict=False)]
+        handles = [Line2D([], [], color=colour, label=label) for label, colour in zip(named, OUTLINES, strict=False)]
         _legend_below(ax, handles, columns=min(len(handles), 3))
     _bare(ax, title)
     return drawn
@@ -249,26 +258,28 @@ def heat(
     return drawn
 
 
-def labels(ax: Axes, codes: np.ndarray, names: Mapping[int, str], title: str = "") -> AxesImage:
+def labels(
+    ax: Axes, codes: np.ndarray, names: Mapping[int, str], title: str = "", colours: Sequence[str] = OKABE_ITO
+) -> AxesImage:
     """Draw whole-number codes (H, W) with a legend of those that occur and their pixel counts.
 
-    The first name is the background, white; the others take the Okabe-Ito colours; codes without a name are grey.
+    The first name is the background, white; the others take ``colours`` in turn; codes without a name are grey.
 
     Raises:
-        ValueError: for more than nine names, or codes that are not whole numbers (H, W).
+        ValueError: for more names than there are colours, or codes that are not whole numbers (H, W).
     """
     if codes.ndim != 2 or codes.dtype.kind not in "bui":
         raise ValueError(f"codes should be whole numbers (H, W), got {codes.shape} {codes.dtype}")
-    if len(names) > 1 + len(OKABE_ITO):
-        raise ValueError(f"at most {1 + len(OKABE_ITO)} codes can be told apart, got {len(names)}")
+    if len(names) > 1 + len(colours):
+        raise ValueError(f"at most {1 + len(colours)} codes can be told apart, got {len(names)}")
     index = np.full(codes.shape, len(names))
     for k, code in enumerate(names):
         index[codes == code] = k
-    colours = [*("#FFFFFF", *OKABE_ITO)[: len(names)], GREY]
-    drawn = ax.imshow(index, cmap=ListedColormap(colours), vmin=-0.5, vmax=len(names) + 0.5, interpolation="nearest")
+    shown = [*("#FFFFFF", *colours)[: len(names)], GREY]
+    drawn = ax.imshow(index, cmap=ListedColormap(shown), vmin=-0.5, vmax=len(names) + 0.5, interpolation="nearest")
     counts = np.bincount(index.ravel(), minlength=len(names) + 1)
     square = {"marker": "s", "linestyle": "", "markeredgecolor": "black", "markeredgewidth": 0.5}
-    entries = zip(colours, [*names.values(), "other"], counts, strict=True)
+    entries = zip(shown, [*names.values(), "other"], counts, strict=True)
     handles = [Line2D([], [], color=colour, label=f"{name} {n:,}", **square) for colour, name, n in entries if n]
     _legend_below(ax, handles, columns=2)
     _bare(ax, title)

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from ..data import Sample
 from .panels import FONT, GREY, OKABE_ITO, Picture, add_bar, error, rgb
@@ -118,6 +119,8 @@ def against_scene(
     for ax, key in zip(axes, rho, strict=False):
         values = [described[n][key] for n in names], [errors[n] for n in names], [n in marked for n in names]
         scatter(ax, *values, "", key)
+        if np.equal(np.mod(values[0], 1), 0).all():  # a count
+            ax.xaxis.set_major_locator(MaxNLocator(4, integer=True))
     for ax in axes[len(rho) : -1]:
         ax.set_axis_off()
     intervals(axes[-1], rho, "rank correlation", scale=1)
