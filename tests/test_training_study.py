@@ -96,6 +96,8 @@ def test_fine_tuning_is_told_in_words(tuned):
     assert lines[0].startswith("4 frames of l515") and "smaller error than before (-1.0 mm [-2.0, -0.5])" in lines[1]
     assert "harmed by more than 2 % (1.030 [1.010, 1.050]" in lines[-1] and "not harmed" not in lines[-1]
     tuned[0]["test"]["ratio"]["whole"] = (1.019, 0.9, 1.1)
+    assert "whole: not decided whether harmed by more than 2 %" in study.outcome("l515", tuned[0])[-3]
+    tuned[0]["test"]["ratio"]["whole"] = (1.0, 0.99, 1.015)
     assert "whole: not harmed by more than 2 %" in study.outcome("l515", tuned[0])[-3]
 
 

@@ -191,7 +191,7 @@ def main(arguments: list[str] | None = None) -> int:
     real = list(ClearGrasp(options.real)) if options.real else []
     contact_sheet(tops["test"], SAMPLES / "contact_sheet.png")
     contact_sheet(room["rooms"], SAMPLES / "contact_sheet_rooms.png", shared=False)
-    columns = {"train, all rendered": wide} if wide is not tops["train"] else {}
+    columns = {"train, all rendered": wide} if "rendered" in which else {}
     room_columns = {"rooms_train, rendered": wide_rooms} if "rendered" in which_rooms else {}
     height, width = simulate.ROOM_SIZE
     card = TEXT.format(
@@ -445,8 +445,8 @@ Of the statistics above, the median of `rooms` differs most from that of trainin
   plates; no handles, no folds, no people, no clutter beyond a dozen things on a table top and some twenty in a room.
 - Opaque surfaces of table tops carry procedural textures in colours more vivid than most rooms have. Rooms are
   built of boxes, and at {paths} paths a pixel the denoiser takes fine texture away, most in glass and mirrors.
-- Outside glass and metal the sensor of the rooms is noisier than either real frame above: more than a tenth of
-  their pixels are wrong there, most often on walls beyond 2 m.
+- Outside glass and metal the sensor of the rooms is noisier than the two real frames that it was held against: more
+  than a tenth of their pixels are wrong there, most often on walls beyond 2 m.
 - A panorama has no depth: where a room ends in it, the truth is unknown (0), and nothing is scored.
 - Things stand, lie or lean as they were put, without physics. Some things that lie rest on their bounding box:
   lying hexagons, stars, vases and wine glasses hover by up to 11 mm, most by 1 to 3. In half of the far scenes (places

@@ -18,7 +18,7 @@ from ditr_lite.peers import system
 from ditr_lite.peers.train import peer_config
 from ditr_lite.store import WEIGHTS
 from ditr_lite.studies import denoisers
-from ditr_lite.training.scenes import Pool, load_scenes
+from ditr_lite.training.scenes import Pool, described, load_scenes
 
 
 def main() -> None:
@@ -53,7 +53,8 @@ def main() -> None:
     asked += ["--limit", args.limit] if args.limit else []
     asked += ["--seed", args.seed] if args.seed else []
     command = results.tool_command("denoiser_study", asked)
-    results.write(args.json, results.head(command, parts=["autoencoder", "encoder"]), report)
+    begin = results.head(command, parts=["autoencoder", "encoder"], learnt_from=described(*pool.groups))
+    results.write(args.json, begin, report)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ from ditr_lite.store import load_part, read_card
 from ditr_lite.training.batches import Batch, batch_of, frames_in_order
 from ditr_lite.training.loop import Recipe, fit
 from ditr_lite.training.recipes import branch_inputs
-from ditr_lite.training.scenes import Scenes, checkpoint_key, load_scenes, shrink
+from ditr_lite.training.scenes import Scenes, checkpoint_key, described, load_scenes, shrink
 from ditr_lite.training.views import frame_view
 from ditr_lite.unet import DenoisingUNet
 
@@ -165,7 +165,8 @@ def main(arguments: list[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     config = from_dict(read_card(args.weights)["config"])
     config = replace(config, window=0, unet=replace(config.unet, width=args.width, cond_channels=args.width))
-    scenes = shrink(load_scenes(args.data, args.limit), config.size)
+    rendered = load_scenes(args.data, args.limit)
+    scenes = shrink(rendered, config.size)
     test = shrink(load_scenes(args.test, args.test_limit), config.size)
     maps, test_maps = guides(scenes, only=TRAINED), guides(test, args.weights)
     recipe = Recipe(steps=args.steps, batch=args.batch, lr=2e-3, warmup=20, decay=0.98)
@@ -179,7 +180,7 @@ def main(arguments: list[str] | None = None) -> int:
             rows[kind]["minus_none_m"] = interval(paired_bootstrap, errors[kind], errors["none"], digits=6)
         branches[branch] = {"seconds": notes["seconds"], "rows": rows, "frames": errors}
     used = ["autoencoder", "boundary"] + ["encoder"] * bool(config.unet.colour_channels)
-    about = {"steps": args.steps, "batch": args.batch, "width": args.width, "scenes": len(scenes)}
+    about = {"steps": args.steps, "batch": args.batch, "width": args.width, "learnt_from": described(rendered)}
     begin = results.head(results.tool_command("guide_study", arguments), args.weights, used, **about)
     results.write(args.json, begin, {"test_scenes": len(test), "branches": branches})
     print(f"{args.json}: {len(test)} scenes")

@@ -23,7 +23,7 @@ from ditr_lite.evaluation import results, stage_one
 from ditr_lite.evaluation.statistics import bootstrap_mean, format_interval, interval, paired_bootstrap
 from ditr_lite.studies import regions
 from ditr_lite.training import finetune
-from ditr_lite.training.scenes import load_scenes
+from ditr_lite.training.scenes import described, load_scenes
 
 ROOT = Path(__file__).resolve().parents[1]
 OFFSETS = (-4, -2, -1, 0, 1, 2, 4)
@@ -55,7 +55,15 @@ def study_finetuning(ditr, samples, data: Path, limit: int, steps: int, batch: i
     scenes = load_scenes(data, limit)
     paints = finetune.whole_frames(finetune.frame_painters(ditr.parts, ditr.config), ditr.config, seed)
     before = measure(ditr, samples)
-    out = {"scenes": len(scenes), "steps": steps, "batch": batch, "rate": finetune.RATE, "seed": seed, "before": before}
+    out = {
+        "learnt_from": described(scenes),
+        "scenes": len(scenes),
+        "steps": steps,
+        "batch": batch,
+        "rate": finetune.RATE,
+        "seed": seed,
+        "before": before,
+    }
     for name, (weight, straight_through) in VARIANTS.items():
         model = copy.deepcopy(ditr.parts["region"])
         how = {"batch": batch, "seed": seed}

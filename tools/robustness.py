@@ -51,7 +51,8 @@ def main(argv: list[str] | None = None) -> int:
     found = {"curves": robustness.score_conditions(ditr, [load_sample(name) for name in names]), "disturbances": {}}
     for split, some in chosen.items():
         found["disturbances"][split] = disturbances(ditr, some)
-        print(f"\n{split} split, {len(some)} scenes, RMSE in the region; [95 % interval], paired over scenes")
+        scored = len(found["disturbances"][split]["frames"])
+        print(f"\n{split} split, {scored} scenes, RMSE in the region; [95 % interval], paired over scenes")
         print(robustness.format_disturbances(found["disturbances"][split]["table"]))
     command = results.tool_command("robustness", argv)
     results.write(options.json, results.head(command, options.weights, frames=names, unit=UNIT), found)

@@ -13,6 +13,7 @@ from pathlib import Path
 from ditr_lite.evaluation import results
 from ditr_lite.studies import trials
 from ditr_lite.studies.experiment import QUICK
+from ditr_lite.training.scenes import described, load_scenes
 
 
 def main() -> None:
@@ -29,6 +30,7 @@ def main() -> None:
         "versions": results.versions(),
         "split": "val",
         "steps": {part: recipe.steps for part, recipe in QUICK.items()},
+        "learnt_from": described(*(load_scenes(folder, args.limit) for folder in [args.data] if folder)),
     }
     rows = trials.try_settings(
         seeds=args.seeds,

@@ -626,8 +626,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, help="also write the table, e.g. to ditr_lite/weights/results_soak.json")
     words = sys.argv[1:] if arguments is None else arguments
     args = parser.parse_args(words)
-    rows = []
-    for check in (c for c in CHECKS if args.only in c.__name__):
+    rows, chosen = [], [check for check in CHECKS if args.only in check.__name__]
+    if not chosen:
+        parser.error(f"no check is called like {args.only!r}; there are {', '.join(c.__name__ for c in CHECKS)}")
+    for check in chosen:
         rows.append(run(check, args.seed))
         found = rows[-1]
         print(
@@ -637,7 +639,7 @@ def main(arguments: list[str] | None = None) -> int:
         )
     if args.json:
         results.write(args.json, results.head(results.tool_command("soak", words)), {"checks": rows})
-    return 0 if rows and all(r["right"] == r["tried"] for r in rows) else 1
+    return 0 if all(r["right"] == r["tried"] for r in rows) else 1
 
 
 if __name__ == "__main__":

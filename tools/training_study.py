@@ -266,7 +266,9 @@ def outcome(sensor: str, found: dict) -> list[str]:
     lines.append(f"{len(home['frames'])} frames of the test split:")
     for key in JUDGED:
         ratio, low, high = home["ratio"][key]
-        said = "harmed by more than" if ratio > 1 + HARM else "not harmed by more than"
+        said = "not harmed by more than" if high <= 1 + HARM else "harmed by more than"
+        if low <= 1 + HARM < high:
+            said = "not decided whether harmed by more than"
         lines.append(f"  {key}: {said} {100 * HARM:.0f} % ({ratio:.3f} [{low:.3f}, {high:.3f}] times the error before)")
     return lines
 

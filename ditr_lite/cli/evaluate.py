@@ -157,12 +157,13 @@ class BenchBoundary:
 
         frames = scenes_of(options.split, options.root, options.limit)
         tuning = scenes_of("train", options.root, None)
-        results = boundary_scoring.bench(frames, tuning, options.tolerance, options.weights, options.sam)
-        print(boundary_scoring.format_scores(results["summary"]))
+        found = boundary_scoring.bench(frames, tuning, options.tolerance, options.weights, options.sam)
+        print(boundary_scoring.format_scores(found["summary"]))
         if options.json:
-            from ..files import write_json
+            from ..evaluation import results
 
-            write_json(options.json, {"command": command_line(options), "split": options.split, **results})
+            begin = results.head(command_line(options), options.weights, ["boundary"], split=options.split)
+            results.write(options.json, begin, found)
 
 
 class Floor:

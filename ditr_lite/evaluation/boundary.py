@@ -13,7 +13,6 @@ import numpy as np
 
 from ..boundary import Backend, boundaries_from_labels, boundary_maps, get_backend, precision_recall_f, true_maps
 from ..data import TRANSPARENT, Sample
-from ..store import WEIGHTS, sha256
 from .statistics import bootstrap_mean, interval, paired_bootstrap
 
 CANNY = {"sigma": (0.0, 1.0, 1.5, 2.0, 3.0), "high": (30, 60, 90, 120, 180, 250, 350), "ratio": (0.3, 0.5, 0.8)}
@@ -94,7 +93,7 @@ def bench(
     weights: Path | str | None = None,
     sam: Path | str | None = None,
 ) -> dict[str, Any]:
-    """Return everything ``bench-boundary`` writes: Canny's settings, summary, F of each frame, the weights' checksum.
+    """Return what ``bench-boundary`` finds: Canny's settings, summary, F of each frame.
 
     Args:
         samples: frames to score on.
@@ -114,7 +113,6 @@ def bench(
     return {
         "tolerance_px": tolerance,
         "canny": settings,
-        "weights_sha256": sha256(Path(weights or WEIGHTS) / "boundary.safetensors"),
         "summary": summarise(scores),
         "f": {m: {b: {n: r[2] for n, r in rows.items()} for b, rows in each.items()} for m, each in scores.items()},
     }

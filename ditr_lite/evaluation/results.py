@@ -4,6 +4,7 @@ Every committed figure names the command that made it, the weights by their chec
 computed with, so that anybody can make it again and see whether it still belongs to the weights.
 """
 
+import hashlib
 import json
 import platform
 import shlex
@@ -37,7 +38,14 @@ def head(
     if absent:
         raise ValueError(f"{weights or WEIGHTS} holds no {', '.join(absent)}; it has {', '.join(there)}")
     checksums = {name: there[name] for name in parts or there}
-    return {"command": command, "weights_sha256": checksums, "versions": versions(), **notes}
+    how = {"weights_sha256": checksums, "settings_sha256": settings_sum(weights), "versions": versions()}
+    return {"command": command, **how, **notes}
+
+
+def settings_sum(weights: Path | str | None = None) -> str:
+    """Return a checksum of how these weights are used, but for the fit of ``std``: size, looks, threshold, steps ..."""
+    settings = {key: value for key, value in read_card(weights)["config"].items() if key != "std"}
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
 
 
 def versions() -> dict[str, str]:
@@ -90,11 +98,16 @@ def provenance(report: Mapping[str, Any]) -> str:
 
 
 def is_current(report: Mapping[str, Any], weights: Path | str | None = None) -> bool:
-    """Return whether results were made with these weights, by the checksums of the parts that they name."""
+    """Return whether results were made with these weights and settings, by checksums.
+
+    Those of results say which weights and settings they are of. That the code has not changed since is not asked.
+    """
     return not outdated(report, weights)
 
 
 def outdated(report: Mapping[str, Any], weights: Path | str | None = None) -> list[str]:
-    """Return the parts that results name and that are other ones in these weights, by their checksums."""
+    """Return the parts that results name and that are other ones in these weights; "settings" where those differ."""
     there = {name: part["sha256"] for name, part in read_card(weights)["parts"].items()}
-    return [name for name, checksum in report["weights_sha256"].items() if there.get(name) != checksum]
+    parts = [name for name, checksum in report["weights_sha256"].items() if there.get(name) != checksum]
+    settings = report.get("settings_sha256")  # older results do not have it
+    return parts + ["settings"] * (settings is not None and settings != settings_sum(weights))

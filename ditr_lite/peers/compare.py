@@ -34,6 +34,7 @@ NEED_TRUTH = (  # rows that cannot be asked about a frame without truth
 )
 NEEDED = ("ditr", "dp", "bb", "regression")  # arms that the tables and verdicts set others beside
 MOVED_M = 0.02  # a reading that moved by more was thrown away
+NO_GLASS = "(no glass)"  # in the name of a real frame that is known to show none
 Row = dict[str, float | None]
 
 
@@ -192,17 +193,23 @@ def score_rows(
     for name, (method, key) in tqdm(rows.items(), desc="methods", unit="method"):
         file = Path(folder) / f"{name.replace(' ', '_').replace(',', '')}.json"
         kept = read_json(file) if file.is_file() else {"key": None, "scores": {}}
-        same = kept["key"] == key
-        own = {s.name: kept["scores"][s.name] for s, _ in frames if same and s.name in kept["scores"]}
-        left = [(s, found) for s, found in frames if s.name not in own]
+        done = kept["scores"] if kept["key"] == key else {}
+        left = [(s, found) for s, found in frames if frame_key(s) not in done]
         for sample, found in left:
-            own[sample.name] = measure(method(sample, found), sample)
+            done[frame_key(sample)] = measure(method(sample, found), sample)
         if left:
             file.parent.mkdir(parents=True, exist_ok=True)
-            write_json(file, {"key": key, "scores": {**(kept["scores"] if same else {}), **own}})
-        for frame, row in own.items():
-            scores[frame][name] = row
+            write_json(file, {"key": key, "scores": done})
+        for sample, _ in frames:
+            scores[sample.name][name] = done[frame_key(sample)]
     return scores
+
+
+def frame_key(sample: Sample) -> str:
+    """Return what scores of a frame are kept by: its name, and a checksum of all that they depend on."""
+    maps = (sample.rgb, sample.depth, sample.depth_gt, sample.region)
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(m).tobytes() for m in maps if m is not None))
+    return f"{sample.name} {digest.hexdigest()[:12]}"
 
 
 def paint_failures(
@@ -225,18 +232,23 @@ def score_rendered(depth: np.ndarray, sample: Sample, sets: Sequence[str] = SETS
 
 
 def score_real(depth: np.ndarray, sample: Sample) -> Row:
-    """Return the scores of a real frame: as :func:`score_rendered`, or without truth the share of pixels that moved."""
+    """Return the scores of a real frame: as :func:`score_rendered`, or without truth the share of readings that moved.
+
+    The share is None where nobody knows what is glass: no region, and no ``(no glass)`` in the frame's name.
+    """
     if sample.depth_gt is not None:
         return score_rendered(depth, sample)
-    return {"moved": round(moved_share(depth, sample), 6)}
+    known = sample.region is not None or NO_GLASS in sample.name
+    return {"moved": round(moved_share(depth, sample), 6) if known else None}
 
 
 def moved_share(depth: np.ndarray, sample: Sample) -> float:
-    """Return the share of all pixels whose reading moved; those of the region, where it is known, may move."""
-    moved = (sample.depth > 0) & (np.abs(depth - sample.depth) > MOVED_M)
+    """Return the share of the readings outside the region that moved; without a known region, of all readings."""
+    counted = sample.depth > 0
     if sample.region is not None:
-        moved &= ~sample.region
-    return float(moved.mean())
+        counted &= ~sample.region
+    moved = counted & (np.abs(depth - sample.depth) > MOVED_M)
+    return float(moved.sum() / max(1, counted.sum()))
 
 
 def frames_of_file(file: Path | str) -> list[Sample]:

@@ -107,6 +107,9 @@ def train_peers(
     for name in system.GIVEN:
         if name in parts:
             copy_part(name, weights, out)
+            ours, theirs = (read_card(folder)["parts"][name]["sha256"] for folder in (out, weights))
+            if ours != theirs:
+                raise ValueError(f"{out} has the {name} of other weights than {weights}: choose another folder (--out)")
     for name, module in system.given(out, config).items():
         parts[name] = module
     few = Pool([first(group, TIMED_SCENES) for group in pool.groups])

@@ -110,10 +110,10 @@ def by_seed(report: Mapping[str, Any], step: str, key: str) -> np.ndarray:
     return np.array([row for row in rows if None not in row]).T
 
 
-def best_peer(report: Mapping[str, Any]) -> str:
-    """Return the peer with the smallest mean optical error of a split."""
+def best_peer(report: Mapping[str, Any], key: str = "optical") -> str:
+    """Return the peer with the smallest mean error of a split on the pixel set ``key``."""
     mean = report["mean"]
-    return min((n for n in IDEAS if n in mean and mean[n]["optical"]), key=lambda n: mean[n]["optical"][0])
+    return min((n for n in IDEAS if n in mean and mean[n][key]), key=lambda n: mean[n][key][0])
 
 
 def ratio_verdict(report: Mapping[str, Any]) -> str:
@@ -127,17 +127,19 @@ def ratio_verdict(report: Mapping[str, Any]) -> str:
         report: of one split, with the scores of its frames as ``rmse_m``.
     """
     lines = []
-    for name in dict.fromkeys(("regression", best_peer(report))):
-        for key, (paper, table) in PAPER.items():
-            middle, low, high = report["ratio"][name][key]
-            told = "smaller" if high < 1 else "larger" if low > 1 else "not measurably different"
-            line = f"+RR's {key} error is {told}: {middle:.2f} [{low:.2f}, {high:.2f}] times that of {name}"
-            if name == "regression":
-                lies = "below" if paper < low else "above" if paper > high else "inside"
-                line += f"; the paper's {paper:.2f} to DFNet ({table}) lies {lies} our interval"
-            else:
-                line += ", the best of the peers on these very frames: chosen by them, it is flattered"
-            lines.append(line)
+    pairs = [("regression", key) for key in PAPER]
+    pairs += [(best_peer(report, key), key) for key in PAPER]
+    for name, key in dict.fromkeys(pairs):
+        paper, table = PAPER[key]
+        middle, low, high = report["ratio"][name][key]
+        told = "smaller" if high < 1 else "larger" if low > 1 else "not measurably different"
+        line = f"+RR's {key} error is {told}: {middle:.2f} [{low:.2f}, {high:.2f}] times that of {name}"
+        if name == "regression":
+            lies = "below" if paper < low else "above" if paper > high else "inside"
+            line += f"; the paper's {paper:.2f} to DFNet ({table}) lies {lies} our interval"
+        else:
+            line += ", the best of the peers at that on these very frames: chosen by them, it is flattered"
+        lines.append(line)
     return "\n".join([*lines, holes_verdict(report)])
 
 
@@ -176,6 +178,15 @@ def minutes_each(study: Mapping[str, Any]) -> float:
     return each
 
 
+def minutes_spent(study: Mapping[str, Any]) -> str:
+    """Return the least and the most minutes of processor time that a training took, in words."""
+    spent: dict[tuple[str, int], float] = {}
+    for part in study["trained"].values():
+        key = part["arm"], part["seed"]
+        spent[key] = spent.get(key, 0.0) + part["cpu_seconds"] / 60
+    return f"{min(spent.values()):.1f} to {max(spent.values()):.1f}"
+
+
 def training_command(study: Mapping[str, Any]) -> str:
     """Return the command that trains the arms of a study."""
     return f"python tools/train_peers.py --minutes {minutes_each(study):g}"
@@ -188,20 +199,19 @@ def format_training(study: Mapping[str, Any], shipped: tuple[int, int]) -> str:
         study: what :func:`load_results` returns.
         shipped: working size (height, width) of the shipped system.
     """
-    minutes: dict[str, dict[int, float]] = {}
-    detail = 0.0
+    seeds: dict[str, set[int]] = {}
+    ours = detail = 0.0
     for name, part in study["trained"].items():
-        of_seed = minutes.setdefault(part["arm"], {})
-        of_seed[part["seed"]] = of_seed.get(part["seed"], 0.0) + part["cpu_seconds"] / 60
-        if name.startswith("ditr_detail") and part["seed"] == 0:
-            detail = part["cpu_seconds"] / 60
-    spent = [m for seeds in minutes.values() for m in seeds.values()]
-    twice = [arm for arm, seeds in minutes.items() if len(seeds) > 1]
+        seeds.setdefault(part["arm"], set()).add(part["seed"])
+        if part["arm"] == "ditr" and part["seed"] == 0:
+            ours += part["cpu_seconds"]
+            detail += part["cpu_seconds"] * name.startswith("ditr_detail")
+    twice = [arm for arm, used in seeds.items() if len(used) > 1]
     size = "{1} x {0}".format(*study["settings"]["size"])
-    lines = [f"{len(minutes)} arms, {min(spent):.1f} to {max(spent):.1f} minutes of processor time for each training"]
+    lines = [f"{len(seeds)} arms, {minutes_spent(study)} minutes of processor time for each training"]
     lines.append(f"trained twice, with two seeds: {', '.join(twice) or 'none'}")
     if detail:
-        lines.append(f"the detail network took {detail / minutes['ditr'][0]:.0%} of the time of 'ditr, equal time'")
+        lines.append(f"the detail network took {detail / ours:.0%} of the time of 'ditr, equal time'")
     lines.append(f"working size {size} pixels; the shipped system works at {shipped[1]} x {shipped[0]}")
     return "\n".join(lines)
 
@@ -264,14 +274,15 @@ def format_real(real: Mapping[str, Mapping[str, Mapping[str, float | None]]]) ->
     """Return the table of real frames: RMSE in mm where the truth is known, else the share of readings that moved.
 
     Args:
-        real: frame -> method -> ``optical``, ``geometric`` (metres) or ``moved`` (a share).
+        real: frame -> method -> ``optical``, ``geometric`` (metres) or ``moved`` (a share; None where it is not known
+            which readings are of glass).
     """
     methods = list(next(iter(real.values())))
     true = [frame for frame, rows in real.items() if "optical" in rows[methods[0]]]
-    controls = [frame for frame in real if frame not in true]
+    controls = [frame for frame, rows in real.items() if rows[methods[0]].get("moved") is not None]
     heads = ["optical mm", "geometric mm", "moved %"]
     lines = [
-        f"{len(true)} real frames with truth, {len(controls)} without".ljust(36) + "".join(h.rjust(14) for h in heads)
+        f"{len(true)} real frames with truth, {len(controls)} others".ljust(36) + "".join(h.rjust(14) for h in heads)
     ]
     for method in methods:
         columns = [[real[f][method][key] for f in true if real[f][method][key] is not None] for key in SETS[:2]]

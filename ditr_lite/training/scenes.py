@@ -5,6 +5,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from torch import nn
@@ -147,6 +148,13 @@ def every(scenes: Scenes, places: Sequence[int]) -> Scenes:
     some = {name: getattr(scenes, name)[places] for name in MAPS}
     key = f"{scenes.key} {places.tolist()}" if scenes.key else ""
     return Scenes(names=[scenes.names[i] for i in places], **some, key=key)
+
+
+def described(*groups: Scenes) -> list[dict[str, Any]]:
+    """Return of each group how many scenes it has, the first and the last name, and its checksum: for results files."""
+    return [
+        {"scenes": len(g), "first": g.names[0], "last": g.names[-1], "sha256": checksum(g)} for g in groups if len(g)
+    ]
 
 
 def checksum(*groups: Scenes) -> str:

@@ -12,6 +12,7 @@ from ditr_lite.cli import main
 from ditr_lite.config import override, preset
 from ditr_lite.data import SAMPLES, list_samples
 from ditr_lite.evaluation import boundary as boundary_scoring
+from ditr_lite.evaluation import results
 from ditr_lite.training import boundary as boundary_training
 from ditr_lite.training.scenes import load_scenes
 
@@ -52,7 +53,8 @@ def test_scores_are_printed_and_written(weights, tmp_path, monkeypatch, capsys):
     assert all(name in out for name in ("m_rgb", "m_da", "canny", "classical", "learned"))
     assert written["command"].startswith("python -m ditr_lite bench-boundary --split val --limit 2")
     assert list(written["f"]["m_rgb"]["learned"]) == list_samples("val")[:2] and written["tolerance_px"] == 1
-    assert written["weights_sha256"] == store.sha256(weights / "boundary.safetensors")
+    assert written["weights_sha256"] == {"boundary": store.sha256(weights / "boundary.safetensors")}
+    assert results.is_current(written, weights)
     assert main([*argv[:-1], str(tmp_path / "b.txt")]) == 2 and main([*argv, "--sam", str(tmp_path)]) == 2
 
 
@@ -63,7 +65,11 @@ def test_guide_study_gives_every_guide_to_both_branches_and_goes_on_where_it_was
     argv += ["--work", str(tmp_path / "work"), "--json", str(target)]
     assert study.main(argv) == 0
     first = json.loads(target.read_text())
-    assert first["scenes"] == 3 and first["steps"] == 2 and set(first["branches"]) == {"optical", "geometric"}
+    assert (
+        first["learnt_from"][0]["scenes"] == 3
+        and first["steps"] == 2
+        and set(first["branches"]) == {"optical", "geometric"}
+    )
     for entry in first["branches"].values():
         assert list(entry["rows"]) == list(entry["frames"]) == list(study.READ)
         assert all(len(v) == 2 for v in entry["frames"].values())

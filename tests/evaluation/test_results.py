@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from ditr_lite import store
-from ditr_lite.config import preset
+from ditr_lite.config import override, preset, to_dict
 from ditr_lite.evaluation import results
 
 
@@ -23,7 +23,8 @@ def test_a_file_says_how_to_make_it_again_and_with_which_weights(weights, tmp_pa
     assert begin["split"] == "val" and begin["versions"]["torch"] == torch.__version__
     results.write(tmp_path / "results_some.json", begin, {"rows": [1, 2]})
     found = results.read("some", tmp_path)
-    assert list(found) == ["command", "weights_sha256", "versions", "split", "rows"] and found["rows"] == [1, 2]
+    assert list(found) == ["command", "weights_sha256", "settings_sha256", "versions", "split", "rows"]
+    assert found["rows"] == [1, 2]
     assert found == json.loads(results.results_path("some", tmp_path).read_text())
 
 
@@ -33,6 +34,20 @@ def test_results_are_current_until_the_weights_change(weights):
     both = results.head("c", weights)
     store.save_part("optical", {"x": torch.ones(2)}, preset("tiny"), weights, {})
     assert results.is_current(only, weights) and not results.is_current(both, weights)
+
+
+def test_results_are_current_until_the_settings_change(weights):
+    begin = results.head("c", weights)
+    assert results.outdated(begin, weights) == []
+    card = store.read_card(weights)
+    changed = card | {"config": to_dict(override(preset("tiny"), **{"std.kept": 0.5}))}
+    (weights / store.CARD).write_text(json.dumps(changed))
+    assert results.is_current(begin, weights)  # the fit of the expected error is told apart
+    changed = card | {"config": to_dict(override(preset("tiny"), **{"sampler.steps": 3}))}
+    (weights / store.CARD).write_text(json.dumps(changed))
+    assert results.outdated(begin, weights) == ["settings"]
+    del begin["settings_sha256"]  # as older files are
+    assert results.is_current(begin, weights)
 
 
 def test_what_is_not_there_is_named(weights, tmp_path):

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,8 +75,14 @@ def test_real_frames_come_from_a_file_of_the_readers_own(tmp_path):
     (sample,) = compare.frames_of_file(file)
     assert sample.name == "one" and sample.depth[0, 0] == 0 and sample.depth.dtype == np.float32
     depth = sample.depth + 0.05
-    assert compare.score_real(depth, sample)["moved"] == pytest.approx(56 / 64)  # the diagonal is region: it may move
+    assert compare.score_real(depth, sample)["moved"] == 1  # of the readings outside the region, the diagonal
+    half = np.where(np.arange(8) < 4, depth, sample.depth)
+    assert compare.score_real(half, sample)["moved"] == pytest.approx(0.5)
     assert compare.score_real(sample.depth, sample)["moved"] == 0
+    unknown = replace(sample, region=None)
+    assert compare.score_real(half, unknown) == {"moved": None}  # it may be glass that moved
+    moved = compare.score_real(half, replace(unknown, name="desk (no glass)"))["moved"]
+    assert moved == pytest.approx(31 / 63, abs=1e-6)
     file.write_text("x = 1")
     with pytest.raises(ValueError, match="defines no frames"):
         compare.frames_of_file(file)

@@ -90,12 +90,14 @@ def test_the_verdict_follows_the_interval(report, ratio, said):
 
 def test_the_papers_ratio_is_set_beside_that_of_its_own_system_alone(report, monkeypatch):
     ratios = {"optical": (0.9, 0.85, 0.95), "whole": (0.9, 0.85, 0.95)}
-    monkeypatch.setattr(compare, "best_peer", lambda report: "rgb_only")
-    made = {**report, "ratio": {"regression": ratios, "rgb_only": ratios}}
+    best = {"optical": "rgb_only", "whole": "point_completion"}  # not the same one for every set of pixels
+    monkeypatch.setattr(compare, "best_peer", lambda report, key: best[key])
+    made = {**report, "ratio": dict.fromkeys(("regression", *best.values()), ratios)}
     *own, optical, whole, _ = compare.ratio_verdict(made).splitlines()
-    flattered = ", the best of the peers on these very frames: chosen by them, it is flattered"
-    assert all("to DFNet" in line for line in own)
+    flattered = ", the best of the peers at that on these very frames: chosen by them, it is flattered"
+    assert len(own) == 2 and all("to DFNet" in line for line in own)
     assert optical.endswith(f"0.90 [0.85, 0.95] times that of rgb_only{flattered}")
+    assert whole.endswith(f"0.90 [0.85, 0.95] times that of point_completion{flattered}")
     assert "paper" not in optical + whole
 
 
@@ -136,12 +138,13 @@ def test_tables_name_every_row_and_survive_json(report):
 REAL = {
     "bottle": {"ditr": {"optical": 0.01, "geometric": None}, "regression": {"optical": 0.02, "geometric": 0.03}},
     "desk": {"ditr": {"moved": 0.01}, "regression": {"moved": 0.05}},
+    "glasses": {"ditr": {"moved": None}, "regression": {"moved": None}},
 }
 
 
 def test_real_frames_are_scored_by_truth_or_by_what_moved():
     head, ditr, regression = compare.format_real(REAL).splitlines()
-    assert head.startswith("1 real frames with truth, 1 without")
+    assert head.startswith("1 real frames with truth, 1 others")
     assert ditr.split() == ["ditr", "10.0", "-", "1.00"] and regression.split() == [
         "regression",
         "20.0",
