@@ -81,3 +81,7 @@ def test_a_busy_machine_is_warned_of(tmp_path, monkeypatch, capsys):
         assert timings.main(["00_a.ipynb"]) == 0
         assert ("busy (90 %)" in capsys.readouterr().err) == (busy == 90)
     assert "| 00_a | 12 |" in (tmp_path / "README.md").read_text(encoding="utf-8")
+    monkeypatch.setattr(timings, "_processor", lambda: "another chip")
+    with pytest.raises(SystemExit):  # one row of another machine would stand under its name with all others
+        timings.main(["00_a.ipynb"])
+    assert "the other times are of" in capsys.readouterr().err and timings.main([]) == 0

@@ -28,6 +28,7 @@ from ditr_lite.data import (
     sample_folders,
 )
 from ditr_lite.datasets import ClearGrasp
+from ditr_lite.files import written_whole
 from ditr_lite.loss_types import Cause, LossType
 from ditr_lite.simulator import realism, rooms, simulate, textures
 from ditr_lite.simulator.scenes import TEST_FAMILIES, TRAIN_FAMILIES
@@ -217,7 +218,8 @@ def main(arguments: list[str] | None = None) -> int:
         places=len(textures.SURROUNDINGS),
         held_out_places=", ".join(textures.HELD_OUT_SURROUNDINGS),
     )
-    (SAMPLES / "README.md").write_text(card, encoding="utf-8")
+    with written_whole(SAMPLES / "README.md") as part:
+        part.write_text(card, encoding="utf-8")
     size = sum(p.stat().st_size for p in SAMPLES.rglob("*") if p.is_file())
     bias = baselines.measure_bias(wide)
     print(f"{SAMPLES / 'README.md'}: {len(wide)} {which}; bias {bias:.4f} m; {size / 1e6:.1f} MB")

@@ -10,6 +10,7 @@ from pathlib import Path
 from ditr_lite.evaluation.results import is_current, outdated
 from ditr_lite.evaluation.scoring import on_the_same_pixels
 from ditr_lite.evaluation.statistics import bootstrap_mean, format_interval, interval, mean_known
+from ditr_lite.files import written_whole
 from ditr_lite.store import read_card
 from ditr_lite.studies import denoisers, peer_tables
 
@@ -402,7 +403,8 @@ def main() -> None:
     if kept["soak"]:
         made.append(folded(soak(kept["soak"]), "Table of the checks"))
     made = "\n\n".join([*made, training(read_card())])
-    args.readme.write_text(f"{before}{START}\n{made}\n{END}{after}", encoding="utf-8")
+    with written_whole(args.readme) as part:
+        part.write_text(f"{before}{START}\n{made}\n{END}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -169,7 +169,10 @@ def main(arguments: list[str] | None = None) -> int:
         busy = psutil.cpu_percent(interval=1)
         if busy > BUSY:
             print(f"timings: the machine is busy ({busy:.0f} %), the times will be too long", file=sys.stderr)
-        timings["machine"] = {"processor": _processor(), "python": f"Python {platform.python_version()}"}
+        machine = {"processor": _processor(), "python": f"Python {platform.python_version()}"}
+        if options.notebooks and timings.get("machine", machine) != machine:
+            parser.error(f"the other times are of {timings['machine']}: name no notebook, to measure all on this one")
+        timings["machine"] = machine
         for path in options.notebooks or sorted((ROOT / "notebooks").glob("*.ipynb")):
             timings["notebooks"][path.stem] = measure(path)
             print(path.stem, timings["notebooks"][path.stem], flush=True)

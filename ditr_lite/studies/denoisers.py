@@ -227,7 +227,9 @@ def way_of(steps: int, samples: int) -> str:
 def format_denoisers(report: Mapping[str, Any]) -> str:
     """Return the table: relative RMSE in % of the distance, and the paired difference with one step and one sample."""
     ways = [way_of(*asked) for asked in ASKED]
-    lines = ["% of the distance".ljust(16) + "".join(w.rjust(20) for w in ways) + "   minus the default"]
+    lines = [
+        "% of the distance".ljust(16) + "".join(w.rjust(20) for w in ways) + "   minus the default, one step and sample"
+    ]
     for name, row in report["summary"].items():
         cells = "".join(f"{100 * row[w]['error'][0]:20.2f}" for w in ways)
         gap = format_interval(row[ways[0]]["minus_default"], 100, "+.2f")

@@ -294,10 +294,10 @@ def format_real(real: Mapping[str, Mapping[str, Mapping[str, float | None]]]) ->
 
 
 def failure_frames(part: Mapping[str, Any]) -> dict[str, str]:
-    """Return peer -> a frame of a split where its optical error exceeds that of the paper's DITR.
+    """Return peer -> a frame of a split where its optical error exceeds that of +RR most.
 
     A frame stands for one peer only, or one hard frame would stand for all: of all such choices, the one in which the
-    peers lose most together.
+    peers lose most together. A peer that wins everywhere gets a frame all the same.
     """
     peers = [n for n in IDEAS if n in part["mean"]]
     rows = {frame: row for frame, row in part["rmse_m"].items() if row[PAPERS]["optical"] is not None}  # with a region
@@ -361,7 +361,9 @@ def format_failures(failures: Sequence[tuple[str, Sample, np.ndarray]]) -> str:
             told = "the glass is too far as a whole" if kind["offset"] > 0 else "the glass is too near as a whole"
         else:
             told = (
-                "its shape is wrong, above all its outline" if kind["outline"] > kind["rmse"] else "its shape is wrong"
+                "its shape is wrong, above all its outline"
+                if kind["outline"] > 1.2 * kind["rmse"]
+                else "its shape is wrong"
             )
         lines.append(peer.ljust(25) + sample.name.ljust(12) + cells + f"  {told}")
     return "\n".join(lines)
