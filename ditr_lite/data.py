@@ -172,7 +172,8 @@ def list_samples(split: str = "test", root: Path | str | None = None) -> list[st
     folder = Path(root or SAMPLES) / split
     names = [path.name for path in sample_folders(folder)]
     if not names:
-        raise ValueError(f"no samples in {folder}: run ditr_lite from its repository, or `make samples`")
+        here = "are they frames of a dataset or of your own? name it by --dataset (or datasets.REGISTRY)"
+        raise ValueError(f"no samples in {folder}: {here if root else 'run ditr_lite from its repository'}")
     return names
 
 

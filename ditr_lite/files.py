@@ -304,7 +304,7 @@ def read_depth_and_unit(
         raise ValueError(f"{path} should hold one depth channel (H, W), got {raw.shape}: was the colour picture given?")
     if raw.dtype == np.uint8 or raw.dtype == bool:
         raise ValueError(
-            f"{path} has 8 bits a pixel: expected a 16-bit depth PNG (millimetres unless depth_scale says else)"
+            f"{path} has 8 bits a pixel: expected a 16-bit depth PNG (millimetres, or another unit by depth_scale)"
         )
     if raw.dtype.kind not in "uif":
         raise ValueError(f"{path} should hold integers or floats, got {raw.dtype}")
@@ -498,7 +498,7 @@ def _picture(path: Path, data: bytes, indices: bool, turn: bool) -> np.ndarray:
     """Return the pixels of a picture file after checking that it is whole."""
     ros = data[ROS_HEADER.size :].startswith(PNG_MAGIC) and not data.startswith(PNG_MAGIC)
     body = data[ROS_HEADER.size :] if ros else data
-    kinds = "a PNG, JPEG, TIFF (of integers or float32), .npy or .exr file"
+    kinds = "a PNG, JPEG, TIFF (of integers or float32, not float64), .npy (no .npz) or .exr file"
     unreadable = f"cannot read {path}: expected {kinds}, this is none or is cut short"
     Image.init()  # all kinds: by itself Pillow tries only the commonest when it is told which to try
     try:
@@ -675,7 +675,10 @@ def read_intrinsics(path: Path | str, size: tuple[int, int] | None = None) -> Ca
     if own is None and size is None:
         raise ValueError(f"{path} does not say its picture's size: pass size=(height, width)")
     if own and size and own != tuple(size):
-        raise ValueError(f"{path} is for pictures of {own} (height, width), not {tuple(size)}: use Camera.resized")
+        raise ValueError(
+            f"{path} is for pictures of {own} (height, width), not {tuple(size)}: multiply fx and cx by "
+            "the ratio of the widths, fy and cy by that of the heights (Camera.resized)"
+        )
     height, width = own or size
     camera = Camera(values["fx"], values["fy"], values["cx"], values["cy"], int(width), int(height))
     _check_camera(path, camera, sized=own is not None)
@@ -693,7 +696,7 @@ def _check_camera(path: Path, camera: Camera, sized: bool) -> None:
     if not sized and not all(CENTRE[0] <= share <= CENTRE[1] for share in (across, down)):
         raise ValueError(
             f"{path} has its centre at ({camera.cx:g}, {camera.cy:g}), which is not near that of a picture of "
-            f"{camera.width} x {camera.height}: it is of another size; resize it with Camera.resized. Of a crop, let "
+            f"{camera.width} x {camera.height}: it is of another size; scale it (Camera.resized). Of a crop, let "
             "the file say the size (width and height)"
         )
     if not all(FOCAL[0] <= share <= FOCAL[1] for share in focal) or not 0.5 <= camera.fx / camera.fy <= 2:

@@ -22,7 +22,7 @@ from .metrics import expected_error
 from .region import ColourEncoder, RegionNet, refine_region
 from .schedule import make_schedule
 from .stage_two import BRANCHES, Painter, Plan, Sampler, Views, paint
-from .store import load_parts, usable_device
+from .store import checked_denoiser, checked_logits, checked_sampler, load_parts, usable_device
 from .unet import STRIDE, DenoisingUNet
 from .units import MAX_SEED, MIN_DEPTH_M, check_count, check_inputs, strips, without_strays
 from .windows import Claim, Completion, Frame, Layer, Painting, close_ups, fit_frame, level
@@ -61,23 +61,6 @@ def build(config: Config) -> nn.ModuleDict:
     return nn.ModuleDict(parts)
 
 
-def own_sampler(sampler: Sampler) -> Sampler:
-    """Return a caller's sampler with a ValueError for anything but finite latents of the shape that was asked for."""
-
-    def call(predict, shape, *args, **options) -> Tensor:
-        drawn = sampler(predict, shape, *args, **options)
-        if not isinstance(drawn, Tensor) or drawn.shape != shape:
-            got = tuple(drawn.shape) if isinstance(drawn, Tensor) else type(drawn).__name__
-            raise ValueError(f"sampler: expected a tensor {tuple(shape)} of latents, got {got}")
-        if not drawn.is_floating_point():
-            raise ValueError(f"sampler: expected latents of floating-point numbers, got {drawn.dtype}")
-        if not torch.isfinite(drawn).all():
-            raise ValueError("sampler: the latents hold NaN or infinity")
-        return drawn.float()
-
-    return call
-
-
 class Ditr:
     """Two-stage latent-diffusion depth completion.
 
@@ -112,7 +95,7 @@ class Ditr:
         self.schedule = make_schedule(config.schedule)
         self.backend = own_backend(boundary) if callable(boundary) else get_backend(boundary, boundary_path)
         own = sampler is not diffusion.sample
-        self.sampler = own_sampler(sampler) if own else partial(sampler, eta=config.sampler.eta)
+        self.sampler = checked_sampler(sampler if own else partial(sampler, eta=config.sampler.eta))
 
     @classmethod
     def from_pretrained(
@@ -265,7 +248,7 @@ class Ditr:
         frame = fit_frame(depth.shape, self.config.look(scale))
         small = without_strays(frame.into(depth))
         seen = self._put(to_tensor(frame.into(rgb)[None]), *depth_tensors(small, depth_bounds(small)))
-        logits = self.parts["region"](*seen)["logits"]
+        logits = checked_logits(self.parts["region"](*seen), self.config.region.classes, seen[1])
         return F.interpolate(logits, size=self.config.size, mode="bilinear", antialias=True)[0]
 
     def refine(self, mask: np.ndarray, kernels: RefineConfig | None = None) -> np.ndarray:
@@ -362,7 +345,7 @@ class Ditr:
         """Return the networks of one branch."""
         parts = dict(self.parts.items())
         return Painter(
-            net=parts[branch],
+            net=checked_denoiser(parts[branch], branch),
             autoencoder=parts["autoencoder"],
             encoder=parts.get("encoder"),
             detail=parts.get("detail") if plan.detail else None,

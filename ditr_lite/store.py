@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -236,3 +237,59 @@ def usable_device(name: str | torch.device) -> torch.device:
     except (RuntimeError, AssertionError, NotImplementedError, TypeError) as error:
         raise ValueError(f"device {name!r} cannot be used here ({str(error).splitlines()[0]}); choose 'cpu'") from None
     return device
+
+
+# What a reader's own parts must return: checked where they are called; the shipped ones pass through the same checks.
+
+
+def checked_sampler(sampler: Callable) -> Callable:
+    """Return a sampler with a ValueError for anything but finite latents of the shape that was asked for.
+
+    Raises:
+        ValueError: at once, for what cannot be called.
+    """
+    if not callable(sampler):
+        raise ValueError(f"sampler: expected a call like diffusion.sample, got {sampler!r}")
+
+    def call(predict, shape, *args, **options) -> Tensor:
+        drawn = sampler(predict, shape, *args, **options)
+        if not isinstance(drawn, Tensor) or drawn.shape != shape:
+            got = tuple(drawn.shape) if isinstance(drawn, Tensor) else type(drawn).__name__
+            raise ValueError(f"sampler: expected a tensor {tuple(shape)} of latents, got {got}")
+        if not drawn.is_floating_point():
+            raise ValueError(f"sampler: expected latents of floating-point numbers, got {drawn.dtype}")
+        if not torch.isfinite(drawn).all():
+            raise ValueError("sampler: the latents hold NaN or infinity; a denoiser that returns such leads there, too")
+        return drawn.float()
+
+    return call
+
+
+def checked_denoiser(net: nn.Module, branch: str) -> nn.Module:
+    """Return the denoiser of a branch.
+
+    Raises:
+        ValueError: when it lacks one of the two calls that stage two makes.
+    """
+    if not callable(net) or not callable(getattr(net, "features", None)):
+        raise ValueError(
+            f"the {branch} denoiser should have two calls, features(image, colour) and net(x, t, features, masked, "
+            f"known); {type(net).__name__} lacks one"
+        )
+    return net
+
+
+def checked_logits(found: Any, classes: int, like: Tensor) -> Tensor:
+    """Return the logits (B, classes, H, W) that a stage one returned, for pictures of the size of ``like``.
+
+    Raises:
+        ValueError: for anything but a dictionary with finite logits of that shape.
+    """
+    logits = found.get("logits") if isinstance(found, dict) else None
+    expected = (len(like), classes, *like.shape[2:])
+    if not isinstance(logits, Tensor) or logits.shape != expected or not logits.is_floating_point():
+        got = f"logits {tuple(logits.shape)} {logits.dtype}" if isinstance(logits, Tensor) else type(found).__name__
+        raise ValueError(f"stage one: expected a dictionary with float logits {expected}, got {got}")
+    if not torch.isfinite(logits).all():
+        raise ValueError("stage one: the logits hold NaN or infinity")
+    return logits

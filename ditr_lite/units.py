@@ -105,7 +105,7 @@ def is_clean(depth: np.ndarray) -> bool:
     return depth.dtype == np.float32 and all(((row >= 0) & (row < MAX_DEPTH_M)).all() for row in depth)
 
 
-def check_unit(name: str, depth: np.ndarray, scale: float = 1.0) -> None:
+def check_unit(name: str, depth: np.ndarray, scale: float | None = None) -> None:
     """Refuse depth that is no metres, and warn of depth that may be none.
 
     Depth whose borders were blended when it was resized holds some believable values whatever its unit; so most
@@ -114,7 +114,7 @@ def check_unit(name: str, depth: np.ndarray, scale: float = 1.0) -> None:
     Args:
         name: what to call the depth in messages.
         depth: (H, W) in metres as claimed, before it is cleaned; not finite or at most 0 is missing.
-        scale: metres per unit by which it was multiplied.
+        scale: metres per unit by which it was multiplied, an argument ``depth_scale``; None where there is none.
 
     Raises:
         ValueError: when the median reading lies beyond 65 m or nearer than 1 cm; the message names a likely unit.
@@ -130,10 +130,14 @@ def check_unit(name: str, depth: np.ndarray, scale: float = 1.0) -> None:
             warnings.warn(f"most depth readings are {side} m: is their unit right (depth_scale)?", stacklevel=2)
         return
     wrong = f"beyond {MAX_DEPTH_M:g} m" if median >= MAX_DEPTH_M else f"nearer than {100 * MIN_DEPTH_M:g} cm"
-    likely = [(s, unit) for s, unit in UNITS if USUAL_M[0] <= median / scale * s <= USUAL_M[1] and s != scale]
-    advice = f"{likely[0][1]}? pass depth_scale={likely[0][0]:g}" if likely else "what is its unit? pass depth_scale"
-    top = float(read.max()) / scale
-    raise ValueError(f"{name}: most readings lie {wrong}, values up to {top:.6g} at {scale:g} m a unit: {advice}")
+    used = scale or 1.0
+    likely = [(s, unit) for s, unit in UNITS if USUAL_M[0] <= median / used * s <= USUAL_M[1] and s != used]
+    do = "pass depth_scale=" if scale else "multiply it by "
+    advice = f"{likely[0][1]}? {do}{likely[0][0]:g}" if likely else f"what is its unit? {do.rstrip('=')}"
+    if not (likely or scale):
+        advice = "what is its unit? metres are expected"
+    top = float(read.max()) / used
+    raise ValueError(f"{name}: most readings lie {wrong}, values up to {top:.6g} at {used:g} m a unit: {advice}")
 
 
 def check_inputs(
@@ -196,7 +200,8 @@ def warn_of_mistakes(rgb: np.ndarray, depth: np.ndarray) -> None:
         )
     if looks_bgr(rgb):
         warnings.warn(
-            "rgb looks like BGR: once JPEG, its colours fit that only with red and blue exchanged; pass rgb[..., ::-1]",
+            "rgb looks like BGR: once JPEG, its colours fit that only with red and blue exchanged; turn their order "
+            "round (rgb[..., ::-1])",
             stacklevel=3,
         )
 

@@ -187,7 +187,7 @@ def test_unusable_depth_is_refused_with_the_reason(tmp_path):
         "no file": tmp_path / "absent.png",
         "not a plain .npy array": tmp_path / "objects.npy",
         "not an OpenEXR file": tmp_path / "text.exr",
-        "expected a PNG, JPEG, TIFF .*, .npy or .exr file": tmp_path / "text.png",
+        "expected a PNG, JPEG, TIFF .*, .npy .*or .exr file": tmp_path / "text.png",
         "should hold integers or floats": tmp_path / "text.npy",
     }
     np.save(tmp_path / "objects.npy", np.array([{}], dtype=object))

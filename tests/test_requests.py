@@ -51,7 +51,7 @@ def ditr(parts):
         ({"seed": 0.5}, "seed: expected a whole number"),
         ({"threshold": 1.5}, "threshold: expected a probability"),
         ({"threshold": float("nan")}, "threshold: expected a probability"),
-        ({"depth": 1000 * DEPTH}, r"depth: most readings lie beyond 65 m.*millimetres\? pass depth_scale=0.001"),
+        ({"depth": 1000 * DEPTH}, r"depth: most readings lie beyond 65 m.*millimetres\? multiply it by 0.001"),
         ({"depth": DEPTH / 1000}, r"depth: most readings lie nearer than 1 cm.*kilometres\?"),
         ({"depth": DEPTH.astype(object)}, "depth: expected"),
         ({"depth": [[1.0, 2.0], [3.0]]}, "depth: expected"),
@@ -209,3 +209,34 @@ def test_a_sampler_of_another_type_is_refused_or_converted(parts, kind):
             own(RGB, DEPTH, REGION, samples=1)
     else:
         assert np.isfinite(own(RGB, DEPTH, REGION, samples=1).depth).all()
+
+
+@pytest.mark.parametrize(
+    "returned, told",
+    [
+        (lambda like: like.new_zeros(1, 3, *like.shape[2:]), "expected a dictionary with float logits .* got Tensor"),
+        (lambda like: {"logits": like.new_zeros(1, 2, *like.shape[2:])}, r"got logits \(1, 2, "),
+        (lambda like: {"logits": like.new_zeros(3, *like.shape[2:])}, r"got logits \(3, "),
+        (lambda like: {"logits": like.new_full((1, 3, *like.shape[2:]), float("nan"))}, "the logits hold NaN"),
+        (lambda like: {}, "got dict"),
+    ],
+)
+def test_a_stage_one_of_ones_own_that_returns_something_else_is_told(returned, told):
+    ditr = Ditr(build(TINY), TINY)
+
+    class Mine(torch.nn.Module):
+        def forward(self, rgb, depth_n, valid):
+            return returned(depth_n)
+
+    ditr.parts["region"] = Mine()
+    with pytest.raises(ValueError, match=f"stage one: .*{told}"):
+        ditr(RGB, DEPTH)
+
+
+def test_a_denoiser_of_ones_own_is_asked_for_both_of_its_calls():
+    ditr = Ditr(build(TINY), TINY)
+    ditr.parts["optical"] = torch.nn.Identity()
+    with pytest.raises(ValueError, match="the optical denoiser should have two calls.*Identity lacks one"):
+        ditr(RGB, DEPTH, region=DEPTH > 0)
+    with pytest.raises(ValueError, match="sampler: expected a call like diffusion.sample, got 'ddim'"):
+        Ditr(build(TINY), TINY, sampler="ddim")

@@ -330,7 +330,10 @@ def main(arguments: list[str] | None = None) -> int:
     now = datetime.datetime.now().strftime("%Y-%m-%d_%H%M%S")
     target = options.csv or ROOT / "outputs" / f"grades_{now}.csv"
     if options.folder is None or not options.folder.is_dir():
-        print(f"grade: a folder of submitted notebooks is wanted, got {options.folder}", file=sys.stderr)
+        print(
+            f"grade: a folder of submitted notebooks is wanted (make grade FOLDER=...), got {options.folder}",
+            file=sys.stderr,
+        )
         return 2
     if target.exists():
         print(f"grade: {target} is there already; name another file with --csv", file=sys.stderr)

@@ -253,6 +253,9 @@ def main(arguments: list[str] | None = None) -> int:
     if repository and REPOSITORY.fullmatch(repository):
         repository = f"https://github.com/{repository}"
     paths = options.notebooks or sorted((ROOT / "notebooks").glob("*.ipynb"))
+    if absent := [str(path) for path in paths if not path.is_file()]:
+        print(f"student_copy: there is no notebook {', '.join(absent)}", file=sys.stderr)
+        return 2
     try:
         written, kept = write_copies(paths, options.out, options.solved, repository)
     except (OSError, ValueError) as error:

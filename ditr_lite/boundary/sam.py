@@ -24,7 +24,7 @@ CHECKPOINT = Path("outputs/sam")  # where a checkpoint is looked for when no pat
 MEAN, STD = (123.675, 116.28, 103.53), (58.395, 57.12, 57.375)  # of SAM's training images, 0 to 255
 WHERE = (
     "put SAM's Hugging Face checkpoint (facebook/sam-vit-large for the paper's ViT-L; the files config.json and "
-    "model.safetensors) into a folder, and name it: boundary_path=DIR, or get_backend('sam', DIR)"
+    "model.safetensors) into a folder, and name that folder: --sam DIR, boundary_path=DIR, or get_backend('sam', DIR)"
 )
 
 

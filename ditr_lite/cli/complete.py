@@ -124,6 +124,9 @@ def check_together(options: Namespace) -> None:
         raise ValueError(f"{name} needs the camera: give --intrinsics FILE (3x3 matrix, or lines fx: cx: ...)")
     if options.intrinsics and not cloud:
         raise ValueError("--intrinsics is of a point cloud: give --ply, or --ply-dir for many frames")
+    if (options.region or options.region_dir) and (options.threshold is not None or options.refine is not None):
+        name = "--threshold" if options.threshold is not None else "--refine"
+        raise ValueError(f"{name} is of stage one, which does not run where the region is given: leave out one of them")
     if options.panel_width and not picture:
         raise ValueError("--panel-width is of a picture: give --panel, or --panel-dir for many frames")
 
@@ -244,7 +247,10 @@ def read_job(job: Job, options: Namespace):
     rgb, (depth, unit) = read_rgb(job.rgb), read_depth_and_unit(job.depth, options.depth_scale)
     region = read_mask(job.region) if job.region else None
     if options.upsample_depth and depth.shape != rgb.shape[:2]:
-        depth = upsample_sparse(depth, rgb.shape[:2])
+        try:
+            depth = upsample_sparse(depth, rgb.shape[:2])
+        except ValueError as error:
+            raise ValueError(f"{job.depth}: {error}") from None
     for path, array in ((job.depth, depth), (job.region, region)):
         if array is not None and array.shape != rgb.shape[:2]:
             small = path == job.depth and all(n < m for n, m in zip(array.shape, rgb.shape[:2], strict=True))

@@ -2,7 +2,7 @@
 
 import sys
 import traceback
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -125,6 +125,8 @@ class Bench:
         print(f"{source}, region {'given' if options.given_region else 'found by stage one'}")
         print(scoring.format_report(scoring.summary(results)))
         for name in own:
+            if not any(result["methods"][name] for result in results):
+                raise ValueError(f"your method {name!r} was refused on every frame, for the reason above")
             print(against_best(results, name, tuple(REGISTRY)))
         say_if_few(len(results))
         more = notes(source, options) | ({} if options.no_cost else {"cost": measure_costs(options, ditr, frames[0])})
@@ -303,9 +305,22 @@ def peer_table() -> str:
     return f"{peer_tables.format_study(report)}\n\nCommand: {made}"
 
 
+def add_dataset_name(p: ArgumentParser, does: str) -> None:
+    """Add the argument that names a dataset: one of ours, or of a reader that was added to the registry."""
+
+    def known(name: str) -> str:
+        from ..datasets import REGISTRY
+
+        if name not in REGISTRY:
+            raise ArgumentTypeError(f"unknown dataset {name!r}; choose one of {', '.join(REGISTRY)}")
+        return name
+
+    p.add_argument("--dataset", type=known, metavar="NAME", help=f"{does}: {', '.join(DATASETS)}")
+
+
 def add_frames(p: ArgumentParser) -> None:
     """Add the arguments that choose rendered scenes or a dataset."""
-    p.add_argument("--dataset", choices=DATASETS, help="a real dataset instead of the rendered scenes")
+    add_dataset_name(p, "a real dataset instead of the rendered scenes")
     p.add_argument("--root", type=Path, help="the folder that holds the dataset (or other rendered scenes)")
     p.add_argument("--split", help=f"of the scenes: {', '.join(SPLITS)} (default test); of a dataset: its own")
     add_depth_scale(p)

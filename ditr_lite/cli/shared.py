@@ -122,8 +122,11 @@ def load_system(options: Namespace):
     from dataclasses import replace
 
     from ..pipeline import Ditr
+    from ..units import MAX_SAMPLES, check_count
 
     ditr = Ditr.from_pretrained(path=options.weights)
+    check_count("--steps", options.steps or 1, 1, ditr.config.schedule.timesteps)  # once, not frame by frame
+    check_count("--samples", options.samples or 1, 1, MAX_SAMPLES)
     given = {}
     if options.threshold is not None:
         given["threshold"] = options.threshold
@@ -216,6 +219,8 @@ def frame_files(place: Path, endings: Sequence[str]) -> list[Path]:
     Raises:
         ValueError: when there is none.
     """
+    if not place.is_dir() and not any(sign in str(place) for sign in "*?["):
+        raise ValueError(f"no folder {place}; give one, or a pattern with * or ?")
     entries = place.iterdir() if place.is_dir() else map(Path, glob(str(place)))
     known = [p for p in entries if p.is_file() and p.suffix.lower() in endings and not p.name.startswith(".")]
     if not known:

@@ -7,7 +7,7 @@ by ``torchrun --nproc-per-node N -m ditr_lite train ...`` or ``accelerate launch
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from .evaluate import DATASETS, check_results, say_if_few
+from .evaluate import add_dataset_name, check_results, say_if_few
 from .shared import (
     MAKE_TRAIN,
     MAKE_VAL,
@@ -198,7 +198,8 @@ def fine_tune(options: Namespace, settings: dict[str, str]) -> None:
         notes = adapt.adapt(part, config, pool, held_out, options.start, options.out, work, recipe, **how)
         if is_first():
             print(judgement(part, notes))
-            say_if_few(len(notes["judged"]["before"]))
+            if notes["best_step"]:  # otherwise nothing was judged
+                say_if_few(len(notes["judged"]["before"]))
     leave()
 
 
@@ -364,7 +365,7 @@ def experiment(options: Namespace, settings: dict[str, str]) -> None:
 
 def add_dataset(p: ArgumentParser) -> None:
     """Add the arguments that choose frames of a real dataset."""
-    p.add_argument("--dataset", choices=DATASETS, help="train on a real dataset; with --data, mixed with scenes")
+    add_dataset_name(p, "train on a real dataset; with --data, mixed with scenes")
     p.add_argument("--root", type=Path, help="the folder that holds the dataset")
     p.add_argument("--split", help="of the dataset, to train on (default: all of it)")
     p.add_argument("--val-split", help="of the dataset, to validate on besides the scenes")

@@ -35,9 +35,10 @@ class FrameFolder:
     def __init__(self, root: Path | str, split: str | None = None):
         self.root, self.split = Path(root), split
         if split is not None and split not in self.splits:
-            raise ValueError(
-                f"unknown split {split!r} of {type(self).__name__}; choose {', '.join((*self.splits, 'None'))}"
+            known = (
+                f"choose {', '.join(self.splits)}, or none for all" if self.splits else "it has no splits: give none"
             )
+            raise ValueError(f"unknown split {split!r} of {type(self).__name__}; {known}")
         globs = (self.frame,) if isinstance(self.frame, str) else self.frame
         found = [path for glob in globs for path in self.find(glob)] if self.root.is_dir() else []
         found = [path for path in found if not is_hidden(path, self.root)]

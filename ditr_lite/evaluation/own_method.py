@@ -70,8 +70,7 @@ def checked(method: Callable, name: str) -> Fill:
         if result.shape != depth.shape or not np.issubdtype(result.dtype, np.floating):
             raise ValueError(f"{name}: expected {depth.shape} of floats, metres; got {result.shape} {result.dtype}")
         if not (np.isfinite(result).all() and (result > 0).all()):
-            wrong = int((~np.isfinite(result) | (result <= 0)).sum())
-            raise ValueError(f"{name}: {wrong} pixels are not positive and finite; fill every pixel, in metres")
+            raise ValueError(f"{name}: some pixels are not positive and finite; fill every pixel, in metres")
         return result.astype(np.float32)
 
     return call

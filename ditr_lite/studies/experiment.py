@@ -109,6 +109,7 @@ def compare_settings(
     """
     base = preset("tiny")
     config, trained = override(base, **settings), touched(base, settings)
+    check_block(config.unet.block)
     Ditr(build(config), config)  # what cannot be is refused before the other arm is trained
     if out is not None:
         check_same_system(config, out)
@@ -220,6 +221,24 @@ def some_scenes(homes: Sequence[Path], limit: int | None = None) -> list[Scenes]
         if left != 0:
             groups.append(load_scenes(home, left))
     return groups
+
+
+def check_block(name: str) -> None:
+    """Refuse a building block of the U-Net that does not map (B, Cin, H, W) and time (B, Ct) to (B, C, H, W).
+
+    Raises:
+        ValueError: with what was expected and what happened.
+    """
+    x, time, expected = torch.zeros(2, 3, 6, 4), torch.zeros(2, 7), (2, 5, 6, 4)
+    try:
+        got = tuple(BLOCKS[name](3, 5, 7)(x, time).shape)
+    except (TypeError, RuntimeError, AttributeError) as error:
+        got = " ".join(str(error).split())
+    if got != expected:
+        raise ValueError(
+            f"unet.BLOCKS[{name!r}]: expected block(in_channels, channels, time_channels) whose call (x, time) maps "
+            f"{tuple(x.shape)} and {tuple(time.shape)} to {expected} for block(3, 5, 7); got {got}"
+        )
 
 
 def touched(base: Config, settings: Mapping[str, Any]) -> tuple[str, ...]:

@@ -170,7 +170,7 @@ def test_pictures_that_are_wanted_later_are_made_then(folders, weights, tmp_path
     [
         ({"out_dir": None}, "--out-dir is missing"),
         ({"rgb": "a.png"}, "--rgb is of one frame"),
-        ({"rgb_dir": "nowhere"}, "no file in .*nowhere"),
+        ({"rgb_dir": "nowhere"}, "no folder .*nowhere; give one, or a pattern"),
         ({"out_dir": "depth", "suffix": ".PNG"}, "invalid choice"),
         ({"depth_dir": "rgb", "out_dir": "rgb"}, "the same file"),
     ],

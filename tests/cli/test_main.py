@@ -219,7 +219,7 @@ UNET = {"parameters": 1000, "gflops": 1.0, "ms": 2.0, "ms_per_gflop": 2.0}
         (["evaluate", "--limit", "0"], "--limit: expected at least 1"),
         (["evaluate", "--dataset", "todd"], "--dataset todd needs --root"),
         (["evaluate", "--dataset", "todd", "--root", "nowhere"], "no TODD frames in nowhere"),
-        (["evaluate", "--dataset", "nyu", "--root", "."], "invalid choice: 'nyu'"),
+        (["evaluate", "--dataset", "nyu", "--root", "."], "unknown dataset 'nyu'; choose one of cleargrasp"),
         (["evaluate", "--json", "e.txt"], "cannot write e.txt: expected a name ending in .json"),
         (["simulate", "--count", "3"], "--count needs --split"),
         (["simulate", "--sensor", "d435"], "--sensor needs --split"),

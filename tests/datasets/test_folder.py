@@ -20,7 +20,7 @@ needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="no real frames beside
 def test_the_expected_layout_is_named_and_splits_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"no Folder frames in .*: expected rgb/NAME"):
         datasets.Folder(tmp_path)
-    with pytest.raises(ValueError, match="unknown split 'test' of Folder; choose None"):
+    with pytest.raises(ValueError, match="unknown split 'test' of Folder; it has no splits: give none"):
         datasets.Folder(tmp_path, "test")
 
 

@@ -52,8 +52,8 @@ def test_two_methods_of_one_name_are_refused(folder):
     [
         (DEPTH[:2], r"expected \(4, 6\) of floats"),
         ((1000 * DEPTH).astype(int), "of floats, metres"),
-        (DEPTH * 0, "24 pixels are not positive"),
-        (np.where(np.eye(4, 6) > 0, np.nan, DEPTH), "4 pixels are not positive"),
+        (DEPTH * 0, "some pixels are not positive"),
+        (np.where(np.eye(4, 6) > 0, np.nan, DEPTH), "some pixels are not positive"),
     ],
 )
 def test_a_bad_result_is_refused(result, reason):
