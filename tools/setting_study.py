@@ -41,7 +41,7 @@ def main() -> None:
     )
     for name in rows:
         gain = trials.against_default(rows, name)
-        print(f"{name:30}{1000 * gain.mean:+7.1f} mm [{1000 * gain.low:+.1f}, {1000 * gain.high:+.1f}]")
+        print(f"{name:38}{1000 * gain.mean:+7.1f} mm [{1000 * gain.low:+.1f}, {1000 * gain.high:+.1f}]")
 
 
 if __name__ == "__main__":
