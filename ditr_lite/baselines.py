@@ -20,7 +20,7 @@ Fill = Callable[[np.ndarray, np.ndarray, np.ndarray | None], np.ndarray]
 # How much too far a surviving in-region reading is on average: measure_bias over 600 rendered training scenes, seeds 0
 # to 627. tools/data_card.py measures it anew over the training scenes that are there.
 TRAIN_BIAS_M = 0.041
-MIN_DEPTH_M = 0.01  # a reading less the bias never comes nearer than this
+MIN_DEPTH_M = 0.01  # a reading less the bias never comes nearer than this, or than the reading itself
 SCALES = (1, 2, 4, 8, 16)  # joint_bilateral: pixels between the taps of its 7 x 7 window, scale by scale
 COLOUR_SIGMA = 20.0  # joint_bilateral: grey values (of 255) at which two colours count as different
 ENOUGH = 1.0  # joint_bilateral: weight, in taps of the same colour close by, below which a pixel waits for more
@@ -113,7 +113,7 @@ def keep_and_fill(rgb: np.ndarray, depth: np.ndarray, region: np.ndarray | None 
 def keep_and_fill_debiased(rgb: np.ndarray, depth: np.ndarray, region: np.ndarray | None = None) -> np.ndarray:
     """Do as :func:`keep_and_fill` after taking TRAIN_BIAS_M, measured on the training split, off in-region readings."""
     depth, region = _checked(rgb, depth, region)
-    corrected = np.maximum(depth - np.float32(TRAIN_BIAS_M), np.float32(MIN_DEPTH_M))
+    corrected = np.minimum(depth, np.maximum(depth - np.float32(TRAIN_BIAS_M), np.float32(MIN_DEPTH_M)))
     return _harmonic(np.where(region & (depth > 0), corrected, depth))
 
 

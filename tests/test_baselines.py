@@ -139,6 +139,12 @@ def test_debiased_takes_the_bias_off_inside_only():
     assert REGISTRY["keep_and_fill_debiased"](GREY, tiny, REGION).min() > 0
 
 
+def test_debiased_brings_no_reading_farther_away():
+    depth = np.where(REGION, np.float32(0.004), PLANE)
+    filled = REGISTRY["keep_and_fill_debiased"](GREY, depth, REGION)
+    np.testing.assert_array_equal(filled, depth)  # 4 mm, and nothing nearer is left of it
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_region_over_everything(name):
     everything = np.ones((H, W), bool)
