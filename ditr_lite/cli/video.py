@@ -43,6 +43,7 @@ class Steady:
         self.count: np.ndarray | None = None  # (H, W) frames in the running means
         self.classes: np.ndarray | None = None  # (classes, h, w) probabilities at the working size, as what was claimed
         self.claimed: np.ndarray | None = None
+        self.told: np.ndarray | None = None  # (h, w) frames in the probabilities
         self.region: np.ndarray | None = None
         self.painted: np.ndarray | None = None  # (H, W) metres
         self.drawn: np.ndarray | None = None  # (H, W) frames in what was painted
@@ -57,10 +58,23 @@ class Steady:
     ) -> Completion:
         """Complete the next frame; arguments and result are those of :class:`pipeline.Ditr`.
 
-        ``how`` are its ``steps``, ``samples`` and ``seed``.
+        ``how`` are its ``steps``, ``samples`` and ``seed``. A frame that fails leaves the memory as it was.
         """
         rgb, depth, region = check_inputs(rgb, depth, region, samples=1)  # how many, the system checks
+        before = vars(self).copy()  # arrays are replaced, never written into
+        try:
+            return self._next(rgb, depth, region, adjust, how)
+        except BaseException:
+            vars(self).update(before)
+            raise
+
+    def _next(
+        self, rgb: np.ndarray, depth: np.ndarray, region: np.ndarray | None, adjust: bool, how: dict[str, Any]
+    ) -> Completion:
+        """Complete the next frame and take it into the memory; as :meth:`__call__`."""
         same = self.same = self._compare(rgb, depth)
+        if region is not None:
+            self.classes = self.claimed = None  # stage one is not asked, so what it said is of an earlier frame
         out = self.ditr(rgb, depth, region, adjust=adjust, **how)
         region = out.region
         fresh = np.where(region, out.optical, out.geometric)
@@ -103,8 +117,9 @@ class Steady:
         """Return what stage one says of a frame, held where that looks as before; as :meth:`pipeline.Ditr.claim`."""
         frame, classes = self.ditr.classify(rgb, depth)
         still = frame.into(self.same.astype(np.uint8)) > 0
-        count = np.maximum(frame.into(self.count), 1)
-        self.classes = _mean(self.classes, classes, still, count)
+        told = 0 if self.classes is None else self.told
+        self.told = np.where(still, np.minimum(told + 1, LONGEST), 1).astype(np.float32)
+        self.classes = _mean(self.classes, classes, still, self.told)
         now = 1 - self.classes[0]
         threshold = self.ditr.config.refine.threshold if threshold is None else threshold
         claimed = now > threshold

@@ -339,6 +339,51 @@ def test_what_another_branch_painted_counts_no_more(flickering):
     np.testing.assert_allclose(out.depth[:, 36:60], np.mean(painted[6:], axis=0)[:, 36:60], rtol=1e-5)
 
 
+def other_scene():
+    """Return a frame that looks like :func:`scene` nowhere, neither in colour nor in depth."""
+    rgb, depth = scene(10, np.random.default_rng(2))
+    return 255 - rgb, np.where(depth > 0, depth + np.float32(0.3), 0)
+
+
+def refuse(*_):
+    raise OSError("no memory left")
+
+
+@pytest.mark.parametrize("fails", ["before it is claimed", "after it is claimed"])
+def test_a_frame_that_fails_is_not_remembered(weights, monkeypatch, fails):
+    ditr, how = pipeline.Ditr.from_pretrained(path=weights), {"steps": 1, "samples": 1}
+    steady, there = Steady(ditr), other_scene()
+    for _ in range(3):
+        steady(*scene(36, np.random.default_rng(1)), **how)
+    with monkeypatch.context() as broken, pytest.raises((ValueError, OSError)):
+        if fails == "after it is claimed":
+            broken.setattr(pipeline.Ditr, "inpaint", refuse)
+        steady(*there, **how | ({"steps": 0} if fails == "before it is claimed" else {}))
+    alone, out = ditr(*there, **how), steady(*there, **how)
+    for name in ("depth", "probability"):
+        np.testing.assert_allclose(getattr(out, name), getattr(alone, name), rtol=1e-5, atol=1e-6, err_msg=name)
+
+
+def test_what_was_claimed_before_a_region_was_given_counts_no_more(flickering, monkeypatch):
+    said, real = [], flickering.classify
+
+    def classify(*frame):
+        said.append(real(*frame))
+        return said[-1]
+
+    monkeypatch.setattr(flickering, "classify", classify)
+    steady, there = Steady(flickering), other_scene()
+    for _ in range(3):
+        steady(*scene(36, np.random.default_rng(1)))
+    for _ in range(3):
+        steady(*there, np.ones(SHAPE, bool))
+    steady(*there)
+    assert np.array_equal(steady.classes, said[-1][1])
+    assert np.array_equal(steady.claimed, 1 - steady.classes[0] > flickering.config.refine.threshold)
+    steady(*there)
+    np.testing.assert_allclose(steady.classes, (said[-2][1] + said[-1][1]) / 2, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("names", "order"),
     [(["f10", "f2", "f1"], ["f1", "f2", "f10"]), (["0010", "0002"], ["0002", "0010"]), (["b1", "a2"], ["a2", "b1"])],
