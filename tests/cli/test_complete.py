@@ -384,6 +384,57 @@ def test_what_was_claimed_before_a_region_was_given_counts_no_more(flickering, m
     np.testing.assert_allclose(steady.classes, (said[-2][1] + said[-1][1]) / 2, atol=1e-6)
 
 
+def test_readings_alone_show_that_something_moved_and_single_ones_do_not(flickering):
+    rng, steady = np.random.default_rng(1), Steady(flickering)
+    grey, depth = np.full((*SHAPE, 3), 128, np.uint8), np.full(SHAPE, 0.7, np.float32)
+    steady._compare(grey, depth)
+    assert steady._compare(grey, np.where(rng.random(SHAPE) < 0.05, 1.4, depth).astype(np.float32)).all()
+    nearer = depth.copy()
+    nearer[:, 48:] = 0.6
+    same = steady._compare(grey, nearer)
+    assert same[:, :40].all() and not same[:, 52:].any()
+
+
+def test_a_reading_is_remembered_while_it_is_missing(flickering):
+    steady, grey = Steady(flickering), np.full((*SHAPE, 3), 128, np.uint8)
+    depth = np.full(SHAPE, 0.7, np.float32)
+    blind, farther = depth.copy(), depth.copy()
+    blind[:, 48:], farther[:, 48:] = 0, 0.9
+    for seen in (depth, blind):
+        steady._compare(grey, seen)
+    assert not steady._compare(grey, farther)[:, 52:].any()
+
+
+def test_video_repaints_readings_where_it_may(flickering):
+    steady = Steady(flickering)
+    for adjust in (False, True):
+        rgb, depth = scene(36, np.random.default_rng(1))
+        out = steady(rgb, depth, adjust=adjust)
+        outside = (depth > 0) & ~out.region
+        assert (out.depth == depth)[outside].all() != adjust
+    assert np.array_equal(out.depth, steady.painted)
+
+
+def test_a_video_may_change_its_size(flickering):
+    steady, (rgb, depth) = Steady(flickering), scene(36, np.random.default_rng(1))
+    for step in (1, 2, 1):
+        frame = rgb[::step, ::step].copy(), depth[::step, ::step].copy()
+        out = steady(*frame)
+        assert np.array_equal(steady.painted, np.where(out.region, out.optical, out.geometric))
+        assert not steady.same.any() and out.depth.shape == frame[1].shape
+
+
+def test_a_video_is_claimed_by_the_threshold_that_is_given(weights):
+    ditr, frame = pipeline.Ditr.from_pretrained(path=weights), scene(36, np.random.default_rng(1))
+    probability, shares = ditr.find_region(*frame)[0], []
+    for share in (0.2, 0.8):
+        threshold = float(np.quantile(probability, share))
+        region = Steady(ditr)(*frame, steps=1, samples=1, threshold=threshold).region
+        assert np.array_equal(region, ditr.find_region(*frame, threshold)[1])
+        shares.append(region.mean())
+    assert shares[0] > shares[1] + 0.1
+
+
 @pytest.mark.parametrize(
     ("names", "order"),
     [(["f10", "f2", "f1"], ["f1", "f2", "f10"]), (["0010", "0002"], ["0002", "0010"]), (["b1", "a2"], ["a2", "b1"])],
