@@ -113,7 +113,11 @@ def _todd(root: Path, split: str, number: int, sample: Sample) -> None:
     _exr(folder / "depth.exr", np.where(sample.depth > 0, sample.depth, np.nan))
     _exr(folder / "detph_GroundTruth.exr", sample.depth_gt)  # the dataset's own spelling
     ids = np.where(_region(sample), sample.instances if sample.instances is not None else 1, 0)
-    dense = np.searchsorted(np.union1d(ids, 0), ids)  # 10, 20, ...: eight bits hold 24 objects
+    dense = np.searchsorted(np.union1d(ids, 0), ids)  # written as 10, 20, ...: eight bits hold 25 objects
+    if dense.max() > 25:
+        raise ValueError(
+            f"{sample.name} has {dense.max()} transparent or reflective things, TODD room for 25: export as another"
+        )
     _picture(folder / "instance_segment.png", (10 * dense).astype(np.uint8))
     _text(folder / "pose_type.json", "{}")
 

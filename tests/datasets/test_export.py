@@ -145,6 +145,21 @@ def test_a_frame_without_truth_cannot_be_exported(tmp_path):
         export.export("std", tmp_path / "new", [bare])
 
 
+def test_more_things_than_todd_can_number_are_refused(tmp_path):
+    def row_of(count):
+        things = np.tile(np.arange(1, count + 1, dtype=np.uint8), (4, 1))
+        depth, rgb = np.full(things.shape, 0.5, np.float32), np.full((*things.shape, 3), 90, np.uint8)
+        camera = Camera(9, 9, 3.5, 1.5, count, 4)
+        return Sample("x", rgb, depth, depth, things > 0, camera, np.ones_like(things), things)
+
+    [got] = datasets.TODD(export.export("todd", tmp_path / "r", [row_of(25)], "train"))
+    assert got.region.all() and np.array_equal(got.instances, row_of(25).instances)
+    with pytest.raises(
+        ValueError, match="x has 26 transparent or reflective things, TODD room for 25: export as another"
+    ):
+        export.export("todd", tmp_path / "s", [row_of(26)], "train")
+
+
 @pytest.mark.parametrize("exists", [False, True])
 def test_a_failed_export_leaves_nothing_and_can_be_repeated(tmp_path, exists):
     root, bare = tmp_path / "new", Sample("x", SCENES[0].rgb, SCENES[0].depth)
