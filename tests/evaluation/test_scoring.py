@@ -60,11 +60,6 @@ class FakeDitr:
         return Completion(out, region, 0 * out, **maps, probability=probability, **branches)
 
 
-@pytest.fixture(scope="module")
-def tiny():
-    return pipeline.Ditr(pipeline.build(preset("tiny")), preset("tiny"))
-
-
 def test_every_method_gets_the_region_and_composition_of_ditr():
     seen = []
 

@@ -2,16 +2,10 @@ import numpy as np
 import pytest
 
 from ditr_lite import pipeline
-from ditr_lite.config import preset
 from ditr_lite.data import Sample
 from ditr_lite.evaluation.stage_one import PER_CLASS, class_map, class_scores, mask_errors, score_stage_one
 
 SHAPE = (64, 96)
-
-
-@pytest.fixture(scope="module")
-def tiny():
-    return pipeline.Ditr(pipeline.build(preset("tiny")), preset("tiny"))
 
 
 def test_class_map_merges_to_the_region_that_the_pipeline_finds(tiny):

@@ -4,7 +4,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from ditr_lite.region.encoder import STAGES, ColourEncoder
+from ditr_lite.region.encoder import STAGES, ColourEncoder, SameConv
 from ditr_lite.training.pretrained import fold
 
 
@@ -39,11 +39,9 @@ def published(seed=0):
     return state
 
 
-def same_pad(x, kernel, stride):
-    """TensorFlow's SAME: the total is what the last window lacks, its odd pixel goes to the right and below."""
-    height, width = x.shape[2:]
-    pads = [max((-(-n // stride) - 1) * stride + kernel - n, 0) for n in (width, height)]
-    return F.pad(x, (pads[0] // 2, pads[0] - pads[0] // 2, pads[1] // 2, pads[1] - pads[1] // 2))
+def padded(x, kernel, stride):
+    """Pad as our convolutions do; that this is TensorFlow's way is tested where they are."""
+    return F.pad(x, SameConv(1, 1, kernel, stride).margin)
 
 
 def unfolded(state, x, eps=1e-3):
@@ -58,11 +56,11 @@ def unfolded(state, x, eps=1e-3):
         if expansion > 1:
             h = F.relu6(norm(f"{name}._bn0", F.conv2d(h, state[f"{name}._expand_conv.weight"])))
         depthwise = state[f"{name}._depthwise_conv.weight"]
-        h = F.conv2d(same_pad(h, kernel, stride), depthwise, stride=stride, groups=len(depthwise))
+        h = F.conv2d(padded(h, kernel, stride), depthwise, stride=stride, groups=len(depthwise))
         h = norm(f"{name}._bn2", F.conv2d(F.relu6(norm(f"{name}._bn1", h)), state[f"{name}._project_conv.weight"]))
         return x + h if h.shape == x.shape else h
 
-    x = F.conv2d(same_pad(x, 3, 2), state["_conv_stem.weight"], stride=2)
+    x = F.conv2d(padded(x, 3, 2), state["_conv_stem.weight"], stride=2)
     x, outputs, index = F.relu6(norm("_bn0", x)), [], 0
     for kernel, stride, expansion, _, repeats in STAGES:
         for i in range(repeats):
