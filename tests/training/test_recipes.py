@@ -1,4 +1,5 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from ditr_lite.pipeline import build
 from ditr_lite.region import RegionNet
 from ditr_lite.region.encoder import ColourEncoder
 from ditr_lite.schedule import make_schedule
-from ditr_lite.stage_two import BRANCHES, Views, paint
-from ditr_lite.training import recipes
+from ditr_lite.stage_two import BRANCHES, Painter, Views, paint
+from ditr_lite.training import batches, recipes
 from ditr_lite.training.batches import frames_in_order
 from ditr_lite.training.loop import WHOLE, Recipe
 from ditr_lite.training.parts import PARTS, PRETRAINED, painter_of
@@ -177,3 +178,90 @@ def test_only_a_pretrained_encoder_is_kept_from_learning_at_first():
     early = [n for n, _ in encoder.named_parameters() if n.startswith(("stem.", "stages.0.", "stages.1."))]
     assert frozen == {f"encoder_rgb.encoder.{n}" for n in early}
     assert all(p.requires_grad for p in tiny.parameters())
+
+
+def test_what_is_to_be_painted_is_the_encoded_truth(scenes, monkeypatch):
+    batch, schedule = plain(scenes), make_schedule(TINY.schedule)
+    monkeypatch.setattr(recipes, "encode_picture", lambda *_: [])
+    encoder = SimpleNamespace(encode=lambda x: torch.nn.functional.avg_pool2d(x, 4))
+    silent = Painter(lambda x_t, *_: torch.zeros_like(x_t), encoder, None, None, False)
+    sampler = replace(TINY.sampler, prediction="x0", objective="completion")
+    given, _ = branch_inputs("optical", batch, TINY)
+
+    def loss(batch):
+        return float(recipes.denoising_loss(silent, batch, given, torch.ones(1), schedule, sampler))
+
+    due = encoder.encode(recipes.fill(batch.gt_n, batch.gt_known)).square().mean()
+    assert loss(batch) == pytest.approx(float(due))
+    assert loss(replace(batch, depth_n=batch.depth_n + 0.3)) == loss(batch)
+    assert loss(replace(batch, gt_n=batch.gt_n + 0.3)) > loss(batch) + 0.01
+
+
+def test_classes_weigh_what_the_recipe_says(scenes, monkeypatch):
+    weights = []
+    monkeypatch.setattr(recipes, "region_loss", lambda out, target, weight=None, **_: weights.append(weight))
+    recipes.score_region(lambda *_: None, plain(scenes), 0, WHOLE)
+    assert weights[0].tolist() == pytest.approx(recipes.CLASS_WEIGHTS)
+
+
+def test_frames_are_mixed_at_first_and_mostly_still_at_last(pool, scenes, monkeypatch):
+    view, still, mixed = batches.frame_view(scenes, 0, (64, 96), None), {}, {}
+    recipe = replace(RECIPE, steps=120)
+    for step in range(recipe.steps):
+        seen, pairs = [], []
+        monkeypatch.setattr(batches, "frame_view", lambda *a, seen=seen: seen.append(a[4]) or view)
+        monkeypatch.setattr(batches, "mix_views", lambda *a, pairs=pairs: pairs.append(1) or view)
+        monkeypatch.setattr(batches, "disturb", lambda view, rng: view)
+        monkeypatch.setattr(batches, "batch_of", lambda *_: None)
+        recipes.draw_region(pool, TINY, recipe, 0, step, WHOLE)
+        assert len(set(seen)) == 1  # a batch as a whole
+        still[step], mixed[step] = seen[0], len(pairs) / recipe.batch
+    begins = 60
+    assert not any(still[k] for k in range(begins)) and 0.25 < np.mean([mixed[k] for k in range(begins)]) < 0.55
+    last = range(begins, recipe.steps)
+    assert 0.5 < np.mean([still[k] for k in last]) < 0.9
+    assert not any(mixed[k] for k in last if still[k])
+
+
+def test_crops_begin_where_latent_cells_do(pool, monkeypatch):
+    v, u = torch.meshgrid(torch.arange(64.0), torch.arange(96.0), indexing="ij")
+    ramp = (100 * v + u).expand(8, 1, 64, 96)
+    drawn = SimpleNamespace(gt_n=ramp, gt_known=torch.ones_like(ramp))
+    monkeypatch.setattr(recipes, "branch_batch", lambda *_: drawn)
+    firsts = []
+    for step in range(4):
+        gt, known = recipes.draw_crops(pool, TINY, RECIPE, 0, 32, 4, step, WHOLE)
+        assert torch.equal(gt - gt[:, :, :1, :1], (ramp - ramp[0, 0, 0, 0])[:, :, :32, :32]) and known.all()
+        firsts += gt[:, 0, 0, 0].tolist()
+    rows, columns = np.divmod(np.array(firsts), 100)
+    assert not (rows % 4).any() and not (columns % 4).any()
+    assert len(set(rows)) > 3 and rows.max() <= 32 and len(set(columns)) > 3 and columns.max() <= 64
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_the_final_step_sees_readings_inside_the_region_only_where_it_may(scenes, shown):
+    batch, config = plain(scenes), override(TINY, evidence=shown)
+    assert (batch.valid * batch.region).any()
+    other = replace(batch, depth_n=batch.depth_n + 0.2 * batch.region)
+    decoded = torch.zeros_like(batch.depth_n)
+    one, two = (recipes.sharpened(lambda x: x, decoded, b, config) for b in (batch, other))
+    assert torch.equal(one, two) != shown
+
+
+def test_the_final_step_is_scored_by_mean_and_rms_of_what_was_painted(scenes, monkeypatch):
+    batch, seeds = plain(scenes), []
+    off = torch.zeros_like(batch.gt_n)
+    off[:, :, ::2] = 0.1
+    paint_here = batch.region.clone()
+    paint_here[1] = 0  # a view in which nothing was to be painted counts no more than that
+    sharp = batch.bounds.normalise(batch.truth_m.clamp(min=0.1) * off.exp())
+    monkeypatch.setattr(recipes, "one_step", lambda *_, seed, share: seeds.append(seed) or (sharp, paint_here))
+    monkeypatch.setattr(recipes, "sharpened", lambda model, decoded, *_: decoded)
+    for step in (3, 4):
+        losses = recipes.score_detail(None, {"optical": None}, TINY, ("optical", batch), step, WHOLE)
+    error = off[0][(paint_here * batch.gt_known)[0] > 0]
+    mean, rms = float(error.mean()), float(error.square().mean().sqrt())
+    assert 0 < mean < 0.9 * rms
+    assert float(losses["l1"]) == pytest.approx(mean, rel=1e-3) and float(losses["rms"]) == pytest.approx(rms, rel=1e-3)
+    assert float(losses["total"]) == pytest.approx(10 * (mean + rms), rel=1e-3)
+    assert seeds == [3, 4]  # other noise at every step
