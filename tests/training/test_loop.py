@@ -1,6 +1,7 @@
 import json
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -104,6 +105,19 @@ def test_finished_training_is_not_repeated(tmp_path):
     assert all(torch.equal(first[k], again[k]) for k in first) and notes["steps"] == 12
 
 
+def test_seconds_are_counted_on_after_an_interruption(tmp_path, monkeypatch):
+    def clock_from(start):
+        clock = iter(range(start, start + 1000, 10))  # ten seconds between looks
+        monkeypatch.setattr(loop, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+
+    clock_from(0)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, 8)
+    clock_from(5000)
+    _, notes = run(tmp_path)
+    assert [row["seconds"] for row in notes["curve"]] == [10, 20, 30] and notes["seconds"] == 30
+
+
 def test_a_longer_run_goes_on_from_a_shorter_one(tmp_path):
     straight, _ = run(tmp_path)
     model = build()
@@ -119,6 +133,10 @@ def test_a_longer_run_goes_on_from_a_shorter_one(tmp_path):
         ({"lr": 0.01}, {}),
         ({"batch": 2}, {}),
         ({"decay": 0.5, "steps": 20}, {}),
+        ({"clip": 0.5}, {}),
+        ({"law": "constant"}, {}),
+        ({"patience": 3}, {}),
+        ({"optimiser": "sgd"}, {}),
         ({}, {"seed": 1}),
         ({}, {"key": "other scenes"}),
     ],
@@ -340,6 +358,19 @@ def test_a_loss_that_is_not_finite_stops_with_part_step_and_checkpoint(tmp_path,
     assert all(torch.isfinite(v).all() for v in model.state_dict().values())  # not moved by that step
     with pytest.raises(ValueError, match="there is no checkpoint yet"):
         fit("part", build(), step_loss, replace(RECIPE, lr=0.01), None)
+
+
+def test_a_gradient_that_is_not_finite_stops_before_the_weights_move(tmp_path):
+    model = build()
+
+    def step_loss(step):
+        weight = model[0].weight
+        flat = (weight - weight.detach()).sum().sqrt()  # 0, and infinitely steep
+        return {"total": model(torch.ones(2, 3)).square().mean() + (flat if step == 8 else 0)}
+
+    with pytest.raises(ValueError, match=r"stopped at step 9: .*loss [0-9.]+, norm of the gradient inf"):
+        fit("part", model, step_loss, RECIPE, tmp_path, every=5)
+    assert all(torch.isfinite(v).all() for v in model.state_dict().values())
 
 
 def test_every_flipped_bit_of_a_checkpoint_is_noticed(tmp_path):
