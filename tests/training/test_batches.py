@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -5,6 +6,7 @@ from made_scenes import make_scenes
 
 from ditr_lite.boundary import boundary_maps, get_backend
 from ditr_lite.conditioning import depth_bounds
+from ditr_lite.data import lossy
 from ditr_lite.training import batches
 from ditr_lite.training.batches import (
     batch_of,
@@ -136,6 +138,18 @@ def test_shuffled_means_once_in_an_order_of_its_own(scenes):
     assert [len(b.rgb) for b in shares] == [2, 2]
 
 
+def test_every_epoch_has_an_order_and_disturbances_of_its_own(monkeypatch):
+    many, seen = make_scenes(5, SIZE), []
+    view = frame_view(many, 0, SIZE, None)
+    monkeypatch.setattr(batches, "frame_view", lambda scenes, i, size, rng: seen.append((i, rng.random())) or view)
+    monkeypatch.setattr(batches, "disturb", lambda view, rng: view)
+    for step in range(8):  # two to an epoch
+        epoch_frames(Pool([many]), SIZE, 3, 0, None, step)
+    orders = [tuple(i for i, _ in seen[start : start + 5]) for start in range(0, 20, 5)]
+    assert len(set(orders)) > 1 and all(sorted(order) == [0, 1, 2, 3, 4] for order in orders)
+    assert len({drawn for _, drawn in seen}) == 20
+
+
 def test_shares_of_a_batch_are_the_batch(scenes):
     pool = Pool([scenes])
     for draw in (draw_frames, draw_windows):
@@ -153,3 +167,11 @@ def test_windows_in_order_are_of_scenes_with_glass_and_always_the_same(scenes):
     one, again = ([*windows_in_order(some, 32, count=8)] for _ in range(2))
     assert len(one) == 1 and len(one[0].rgb) == 2 and same(one[0], again[0])
     assert (one[0].region.sum(dim=(1, 2, 3)) > 0).all()
+
+
+def test_windows_in_order_show_the_true_region_grown_or_shrunk_a_little():
+    [batch] = windows_in_order(make_scenes(12, SIZE), 48, count=12)
+    glass = lossy(batch.material.numpy())
+    for shown, true in zip(batch.region[:, 0].numpy() > 0, glass.astype(np.uint8), strict=True):
+        assert not shown[cv2.dilate(true, np.ones((9, 9), np.uint8)) == 0].any()
+        assert shown[cv2.erode(true, np.ones((3, 3), np.uint8)) > 0].all()
