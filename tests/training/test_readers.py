@@ -1,5 +1,6 @@
 """Real datasets as training scenes; the files are our own scenes, exported in each dataset's layout."""
 
+import os
 import pickle
 import shutil
 from dataclasses import replace
@@ -60,6 +61,9 @@ def test_frames_to_validate_on_may_lie_in_a_folder_of_their_own(exported, tmp_pa
     assert plain.held_out("optical", TINY) == {}
     [(name, group)] = replace(plain, val_root=tmp_path / "mine").held_out("optical", TINY).items()
     assert name == "folder_mine" and len(group) == 3
+    for again in (exported / "folder", exported / "todd" / ".." / "folder"):
+        with pytest.raises(ValueError, match="are trained on and cannot judge: name another --val-root"):
+            replace(plain, val_root=again).held_out("optical", TINY)
 
 
 def test_the_unit_of_a_folder_of_ones_own_can_be_said(exported, tmp_path):
@@ -114,6 +118,15 @@ def test_frames_are_decoded_again_when_any_of_their_files_changes(exported, tmp_
         one.unlink()
         kept.append(frames.scenes("region", TINY, None)[0].key)
     assert len(set(kept)) == len(kept)
+
+
+def test_an_edit_that_keeps_the_size_of_a_file_is_noticed(exported, tmp_path):
+    root = shutil.copytree(exported / "folder", tmp_path / "folder")
+    frames, path = RealFrames("folder", root, cache=tmp_path / "cache", limit=1), min((root / "depth").iterdir())
+    [before] = frames.scenes("region", TINY, None)
+    os.utime(path, ns=(0, path.stat().st_mtime_ns + 1_000_000))
+    [after] = frames.scenes("region", TINY, None)
+    assert before.key != after.key
 
 
 def in_memory(scenes):
@@ -193,10 +206,12 @@ def test_the_share_of_rendered_scenes_is_that_of_the_draws(exported, tmp_path):
 def test_large_frames_are_kept_at_twice_the_working_size_and_far_readings_are_missing():
     assert stored_size((720, 1280), (192, 256)) == (384, 683) and stored_size((240, 320), (192, 256)) == (240, 320)
     depth = np.full((400, 600), 0.5, np.float32)
-    depth[0, 0], depth[:2, 100:] = 70.0, 0
+    depth[:4, :4], depth[:2, 100:] = 70.0, 0
     sample = Sample("a", np.zeros((400, 600, 3), np.uint8), depth, depth_gt=depth)
     maps, can = readers._maps(sample, (200, 300), False)
-    assert maps["rgb"].shape == (200, 300, 3) and maps["depth"].max() == 500 and (maps["material"] == IGNORE).all()
+    assert maps["rgb"].shape == (200, 300, 3) and (maps["material"] == IGNORE).all()
+    for name in ("depth", "depth_gt"):
+        assert not maps[name][:2, :2].any() and set(np.unique(maps[name])) == {0, 500}
     assert can == [False, False, False, False]  # nobody said where the glass is
 
 
