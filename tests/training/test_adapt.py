@@ -13,6 +13,7 @@ from ditr_lite.training import adapt as module
 from ditr_lite.training.adapt import adapt, check_out, errors_of, hold_out, mixed, split_held_out
 from ditr_lite.training.loop import Recipe
 from ditr_lite.training.parts import PARTS, train_on
+from ditr_lite.training.recipes import RECIPES as FROM_SCRATCH
 
 TINY = preset("tiny")
 SIZE = (64, 96)
@@ -169,6 +170,25 @@ def test_a_checkpoint_of_other_settings_is_not_taken(start, tmp_path):
     shutil.rmtree(tmp_path / "out")
     with pytest.raises(ValueError, match="belongs to another run, of other settings"):
         go("optical", start, tmp_path, SHORT, config=override(TINY, evidence=False))
+
+
+def test_a_checkpoint_of_another_start_or_of_other_held_out_frames_is_not_taken(start, tmp_path):
+    go("region", start, tmp_path, SHORT)
+    with pytest.raises(ValueError, match="belongs to another run, of other settings"):
+        go("region", start, tmp_path, SHORT, own(6, 8))
+    other = shutil.copytree(start, tmp_path / "other")
+    state = load_part("region", other)
+    first = next(name for name, value in state.items() if value.is_floating_point())
+    save_part("region", state | {first: state[first] + 1}, TINY, other, {})
+    with pytest.raises(ValueError, match="belongs to another run, of other settings"):
+        go("region", other, tmp_path, SHORT)
+
+
+@pytest.mark.parametrize("part", list(module.RECIPES))
+def test_fine_tuning_is_slow_begins_with_the_start_and_stops_early(part):
+    recipe, afresh = module.RECIPES[part], FROM_SCRATCH[part]
+    assert recipe.lr < afresh.lr and recipe.steps < afresh.steps
+    assert not recipe.ramp and 0 < recipe.patience < recipe.steps / module.EVERY and recipe.law == "constant"
 
 
 def test_the_final_step_does_not_go_on_above_another_branch(start, tmp_path):
