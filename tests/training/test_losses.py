@@ -46,6 +46,40 @@ def test_unknown_pixels_are_not_scored():
     assert (out["logits"].grad[:, :, :4] == 0).all() and (out["logits"].grad[:, :, 4:] != 0).any()
 
 
+def test_dice_is_a_mean_over_the_foreground_classes():
+    out = {"logits": torch.zeros(1, 3, 1, 2), "side": [], "boundary": torch.zeros(1, 1, 1, 2)}
+    dice = region_loss(out, torch.tensor([[[0, 1]]]))["dice"]  # each class is given 1/3 everywhere
+    there, absent = 1 - (2 / 3 + 1) / (2 / 3 + 1 + 1), 1 - 1 / (2 / 3 + 1)
+    assert float(dice) == pytest.approx((there + absent) / 2)
+
+
+def test_the_outline_is_scored_where_classes_are_known_and_its_own_pixels_count_more():
+    target = torch.zeros(1, 5, 8, dtype=torch.int64)
+    target[:, :, 3:] = 1
+    target[:, :, 6:] = IGNORE
+    edge = torch.zeros(1, 1, 5, 8)
+    edge[..., 6:] = 99.0  # nobody knows better
+    out = {"logits": torch.zeros(1, 3, 5, 8), "side": [], "boundary": edge}
+    assert float(region_loss(out, target)["boundary"]) == pytest.approx((10 * 5 + 20) / 30 * np.log(2))
+    even = region_loss(out, target, boundary_positive=1.0)["boundary"]
+    assert float(even) == pytest.approx(np.log(2))
+
+
+def test_the_total_weighs_sides_and_outline_and_sides_are_a_mean():
+    torch.manual_seed(0)
+    target = torch.randint(0, 3, (1, 8, 8))
+    out = {"logits": torch.randn(1, 3, 8, 8), "side": [torch.randn(1, 3, 4, 4)], "boundary": torch.randn(1, 1, 8, 8)}
+    found = region_loss(out, target)
+    assert float(found["total"]) == pytest.approx(
+        float(found["ce"] + found["dice"] + 0.4 * found["side"] + 0.5 * found["boundary"])
+    )
+    assert float(region_loss(out, target, side_weight=0, boundary_weight=0)["total"]) == pytest.approx(
+        float(found["ce"] + found["dice"])
+    )
+    twice = region_loss(out | {"side": 2 * out["side"]}, target)
+    assert float(twice["side"]) == pytest.approx(float(found["side"]))
+
+
 def test_a_step_of_training_reaches_every_parameter_and_learns():
     torch.manual_seed(0)
     net = RegionNet(TINY.region)
