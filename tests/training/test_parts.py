@@ -1,6 +1,7 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -293,3 +294,45 @@ def test_root_mean_squares_are_per_view_and_of_the_chosen_pixels():
     where = torch.tensor([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0]]).view(2, 1, 1, 3)
     first, second = root_mean_square(error, where)
     assert first == pytest.approx(12.5**0.5) and np.isnan(second)
+
+
+def test_false_claims_are_the_share_of_all_pixels_claimed_where_nothing_is(monkeypatch):
+    left, all_of_it = np.zeros((4, 8), bool), np.ones((4, 8), bool)
+    left[:, :4] = True
+    monkeypatch.setattr(module, "claims_in_order", lambda *_: iter([(all_of_it, left), (left, ~all_of_it)]))
+    assert module.validate_region(None, TINY, None) == {"iou": 0.5, "false": 0.5}
+    monkeypatch.setattr(module, "claims_in_order", lambda *_: iter([(left, left)]))
+    assert module.validate_region(None, TINY, None) == {"iou": 1.0, "false": 0.0}
+
+
+@pytest.mark.parametrize(("wrong", "due"), [("read", 0.0), ("holes", 0.1)])
+def test_the_autoencoder_of_the_geometric_branch_is_judged_in_holes(wrong, due, monkeypatch):
+    scenes = make_scenes(2, TINY.size)
+    scenes.depth[:, -9:, -9:] = 0  # a hole outside the region
+    [batch] = frames_in_order(scenes, TINY.size)
+    outside = (1 - batch.region) * (batch.valid if wrong == "read" else 1 - batch.valid)
+    off = batch.bounds.normalise(batch.truth_m.clamp(min=0.1) * (0.1 * outside).exp())
+    model = Mock(return_value={"reconstruction": off})
+    model.quantizer.usage = 1.0
+    monkeypatch.setattr(module, "device_of", lambda model: "cpu")
+    monkeypatch.setattr(module, "held_out_batches", lambda *_: [batch])
+    found = module.validate_autoencoder(model, TINY, scenes)
+    assert found["geometric"] == pytest.approx(due, abs=1e-5) and found["optical"] == pytest.approx(0, abs=1e-5)
+
+
+def test_an_error_of_two_branches_is_the_mean_of_those_that_are_asked(monkeypatch):
+    scenes = make_scenes(3, TINY.size)
+    [batch] = frames_in_order(scenes, TINY.size)
+    asked = {"optical": torch.tensor([1.0, 1, 0]), "geometric": torch.tensor([1.0, 0, 0])}
+    error = {"optical": 0.1, "geometric": 0.3}
+
+    def one_step(branch, painter, batch, config):
+        painted = batch.bounds.normalise(batch.truth_m.clamp(min=0.1) * np.exp(error[branch]))
+        return painted, asked[branch].view(3, 1, 1, 1) * batch.gt_known
+
+    monkeypatch.setattr(module, "device_of", lambda model: "cpu")
+    monkeypatch.setattr(module, "held_out_batches", lambda *_: [batch])
+    monkeypatch.setattr(module.recipes, "one_step", one_step)
+    monkeypatch.setattr(module.recipes, "sharpened", lambda model, decoded, *_: decoded)
+    found = module.sharpened_errors(None, dict.fromkeys(asked), override(TINY, window=0), scenes)
+    np.testing.assert_allclose(found, [0.2, 0.1, np.nan], atol=1e-5)
