@@ -223,6 +223,18 @@ def test_disturbing_leaves_the_truth_and_some_readings_alone(scenes):
     assert np.array_equal(one.rgb, again.rgb) and np.array_equal(one.depth, again.depth)
 
 
+def test_glare_blinds_the_sensor_where_it_says(scenes, monkeypatch):
+    view, blinded, seen = frame_view(scenes, 0, (48, 64), None), np.zeros((48, 64), bool), []
+    blinded[:, :20] = True
+    monkeypatch.setattr(views, "glare", lambda rgb, rng: seen.append(1) or (rgb, blinded))
+    monkeypatch.setattr(views, "spoil", lambda depth, rng: depth)
+    for seed in range(40):
+        before = len(seen)
+        depth = disturb(view, rng(seed)).depth
+        assert len(seen) == before or not depth[blinded].any()
+    assert seen and view.depth[blinded].any()
+
+
 def test_a_view_with_hardly_a_reading_is_not_thinned_out_of_all_of_them(scenes, monkeypatch):
     view = frame_view(scenes, 0, (48, 64), None)
     monkeypatch.setattr(views, "lose", lambda depth, rng: np.zeros_like(depth))
@@ -238,6 +250,7 @@ def test_a_claim_is_cut_with_the_view(scenes):
 
 def test_a_mixed_view_is_one_view_with_a_rectangle_of_the_other_at_a_like_distance(scenes):
     one, other = frame_view(scenes, 0, (48, 64), None), frame_view(scenes, 1, (48, 64), None)
+    other = replace(other, depth=1.5 * other.depth, depth_gt=1.5 * other.depth_gt)  # of a larger room
     ratio = np.median(one.depth[one.depth > 0]) / np.median(other.depth[other.depth > 0])
     for seed in range(5):
         out = mix_views(one, other, rng(seed))
@@ -245,7 +258,8 @@ def test_a_mixed_view_is_one_view_with_a_rectangle_of_the_other_at_a_like_distan
         rows, columns = np.nonzero(taken.any(axis=1))[0], np.nonzero(taken.any(axis=0))[0]
         box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         assert np.array_equal(out.rgb[box], other.rgb[box]) and np.array_equal(out.material[box], other.material[box])
-        assert np.allclose(out.depth[box], ratio * other.depth[box], rtol=1e-5)
+        for name in ("depth", "depth_gt"):
+            assert np.allclose(getattr(out, name)[box], ratio * getattr(other, name)[box], rtol=1e-5)
         rest = np.ones(taken.shape, bool)
         rest[max(0, rows[0] - 2) : rows[-1] + 3, max(0, columns[0] - 2) : columns[-1] + 3] = False  # alike by chance
         assert np.array_equal(out.depth_gt[rest], one.depth_gt[rest]) and out.depth.dtype == np.float32
