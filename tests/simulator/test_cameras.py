@@ -70,6 +70,18 @@ def test_a_matt_table_is_read_well(name, quick, monkeypatch):
     assert (sample.ir_left is None) == (name == "l515")
 
 
+@pytest.mark.parametrize("name", ["d435", "structure"])
+def test_what_the_sensor_drops_is_missing_and_said_so(name, quick, monkeypatch):
+    def lower_half(depth, *_):
+        return np.arange(len(depth))[:, None] + np.zeros(depth.shape) >= len(depth) / 2
+
+    monkeypatch.setattr(sensors.sensor, "dropouts", lower_half)
+    sample = measure(monkeypatch, name)
+    above, below = np.s_[:40], np.s_[56:]
+    assert (sample.depth[above] > 0).mean() > 0.7 and not sample.depth[below].any()
+    assert (sample.cause[below] == Cause.DROPOUT).mean() > 0.7
+
+
 def test_only_triangulation_leaves_a_shadow_on_the_projectors_far_side(quick, monkeypatch):
     shadow, hidden = {}, {}
     for name in ("l515", "structure"):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -50,6 +52,12 @@ def test_match_is_silent_where_there_is_nothing_to_match():
 def test_match_never_points_outside_the_right_image():
     found = match(*pair(25.0), CLEAN)
     assert (np.arange(WIDTH) - found >= 0).all()
+
+
+def test_a_match_must_beat_the_second_best_by_its_uniqueness():
+    left, right = pair(12.0)[0], pair(12.0, seed=1)[1]  # two walls that have nothing to do with each other
+    found = [(match(left, right, replace(CLEAN, uniqueness=share)) > 0).mean() for share in (0, 20, 60)]
+    assert found[0] > 1.5 * found[1] > 0.01 and found[2] < 0.005
 
 
 def test_raw_depth_is_focal_length_times_baseline_over_disparity():
@@ -157,6 +165,12 @@ def test_strays_are_as_many_and_as_far_off_as_drawn():
         ratio = out[moved] / 0.8
         assert ((ratio < 0.33) | (ratio > 1.4)).all() and (ratio < 1).any() and (ratio > 1).any() and out.max() <= 65
     assert np.array_equal(sensor.stray(depth, sensor.Strays(), np.random.default_rng(1)), depth)
+
+
+def test_strays_of_a_deep_room_end_at_65_metres():
+    depth = np.full((60, 80), 20.0, np.float32)
+    out = sensor.stray(depth, sensor.Strays(share=0.05, near=0.0), np.random.default_rng(1))
+    assert out.max() == 65 and (out == 65).sum() > 10
 
 
 def test_half_of_the_scenes_have_no_strays_and_none_more_than_half_a_per_cent():
