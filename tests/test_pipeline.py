@@ -1,9 +1,13 @@
 import numpy as np
 import pytest
 import torch
+from made_scenes import plane
 
 from ditr_lite import pipeline
+from ditr_lite.boundary import depth_aware
 from ditr_lite.config import RefineConfig, override, preset
+from ditr_lite.data import REFLECTIVE, TRANSPARENT
+from ditr_lite.diffusion import sample
 from ditr_lite.pipeline import Ditr, build, compose
 from ditr_lite.region import refine_region
 from ditr_lite.stage_two import BRANCHES, Plan
@@ -43,6 +47,11 @@ def same_bits(a, b):
     return np.array_equal(a.view(np.uint32), b.view(np.uint32))
 
 
+def threshold_of(ditr, rgb, depth, share):
+    """Return the threshold above which stage one, which untrained would claim everything, claims about ``share``."""
+    return float(np.quantile(ditr.find_region(rgb, depth)[0], 1 - share))
+
+
 # --- what comes back --------------------------------------------------------------------------------------------------
 
 
@@ -51,12 +60,13 @@ def same_bits(a, b):
 def test_any_size_comes_back_dense_and_with_its_readings(ditr, size, given):
     rgb, depth, region = frame(*size)
     before = rgb.copy(), depth.copy()
-    out = ditr(rgb, depth, region if given else None)
+    out = ditr(rgb, depth, region if given else None, threshold=threshold_of(ditr, rgb, depth, 0.1))
     assert out.depth.shape == size and out.depth.dtype == np.float32
     assert np.isfinite(out.depth).all() and (out.depth > 0).all()
     for mask in (out.region, out.boundary_rgb, out.boundary_depth, out.boundary_da):
         assert mask.shape == size and mask.dtype == bool
     kept = ~out.region & (depth > 0)
+    assert 0.05 < out.region.mean() < 0.4 and kept.mean() > 0.3
     assert same_bits(out.depth[kept], depth[kept])
     assert np.array_equal(rgb, before[0]) and same_bits(depth, before[1])
     assert (out.std[kept] == 0).all() and out.std.dtype == np.float32
@@ -74,11 +84,13 @@ def test_given_region_is_respected(ditr):
 
 def test_stage_one_finds_the_region_and_refines_it(ditr):
     rgb, depth, _ = frame(64, 96)  # the working size: nothing is resized
-    out = ditr(rgb, depth)
+    threshold = threshold_of(ditr, rgb, depth, 0.1)
+    out = ditr(rgb, depth, threshold=threshold)
     assert out.probability.shape == (64, 96) and 0 <= out.probability.min() <= out.probability.max() <= 1
-    refine = TINY.refine
-    expected = refine_region(out.probability > 0.5, refine.median, refine.dilate, refine.iterations)
-    assert np.array_equal(out.region, expected)
+    refine, claimed = TINY.refine, out.probability > threshold
+    expected = refine_region(claimed, refine.median, refine.dilate, refine.iterations)
+    assert np.array_equal(out.region, expected) and 0.05 < expected.mean() < 0.4
+    assert not np.array_equal(expected, claimed)
 
 
 def test_the_result_is_composed_of_what_both_branches_painted(ditr):
@@ -209,6 +221,17 @@ def test_without_windows_the_optical_branch_paints_the_whole_frame():
     assert same_bits(out.depth[kept], depth[kept])
 
 
+def test_windows_take_their_bounds_from_the_readings_around_the_region(ditr, monkeypatch):
+    rgb, region = frame(64, 96)[0], region_of((64, 96), (20, 30, 44, 60))
+    depth = np.tile(np.linspace(0.5, 0.6, 96, dtype=np.float32), (64, 1))
+    far = np.where(region, 2 * depth, depth)
+    monkeypatch.setattr(
+        pipeline, "paint", lambda who, views, *a: torch.zeros(1, len(views.rgb), 1, *views.rgb.shape[2:])
+    )
+    one, other = (ditr(rgb, d, region, samples=1) for d in (depth, far))  # 0 is the middle of the bounds
+    assert len(one.windows) == 1 and same_bits(one.depth[region], other.depth[region])
+
+
 @pytest.mark.parametrize("distance", [0.3, 5.0])
 def test_a_region_far_from_all_readings_is_painted_at_the_distance_of_the_frame(ditr, distance):
     rgb = frame(200, 400)[0]
@@ -268,6 +291,66 @@ def test_the_logits_of_all_looks_are_averaged_at_the_working_size(ditr):
         assert np.allclose(classes, logits.mean(0).softmax(0).numpy(), atol=1e-6)
         assert np.allclose(ditr.classify(*given)[1], logits[1].softmax(0).numpy(), atol=1e-6)
         assert (logits[0] - logits[1]).abs().max() > 1e-3
+
+
+def sure_of(ditr, monkeypatch, glass, metal):
+    """Let stage one believe in glass and metal, (64, 96) probabilities each, and return them in float32."""
+    glass, metal = (np.broadcast_to(np.float32(p), (64, 96)) for p in (glass, metal))
+    classes = np.stack([1 - glass - metal, glass, metal])
+    monkeypatch.setattr(ditr, "classify", lambda *_: (fit_frame((64, 96), (64, 96)), classes))
+    return 1 - classes[0]
+
+
+def test_the_likelier_class_is_named_and_the_belief_is_told_where_nothing_is_claimed_too(ditr, monkeypatch):
+    rgb, depth, _ = frame(64, 96)
+    columns = np.arange(96)
+    glass = np.select([columns < 32, columns < 64], [0.7, 0.2], 0.1)
+    metal = np.select([columns < 32, columns < 64], [0.1, 0.6], 0.2)
+    believed = sure_of(ditr, monkeypatch, glass, metal)
+    out = ditr(rgb, depth, samples=1, refine=RefineConfig(median=0, dilate=0))
+    assert (out.classes[:, :32] == TRANSPARENT).all() and (out.classes[:, 32:64] == REFLECTIVE).all()
+    assert not out.classes[:, 64:].any() and np.array_equal(out.region, np.tile(columns < 64, (64, 1)))
+    assert np.array_equal(out.probability, believed) and np.allclose(out.probability[:, 64:], 0.3)
+
+
+def test_a_reading_that_was_kept_is_the_less_sure_the_likelier_it_lies_on_glass(monkeypatch):
+    rgb, depth, _ = frame(64, 96)
+    unsure = Ditr(untrained(), override(TINY, **{"std.kept": 0.01, "std.missed": 0.2}))
+    believed = sure_of(unsure, monkeypatch, np.where(np.arange(96) < 48, 0.04, 0.36), 0)
+    out = unsure(rgb, depth)
+    read = depth > 0
+    assert not out.region.any()
+    wanted = depth * np.hypot(0.01, 0.2 * np.sqrt(believed))
+    assert np.allclose(out.std[read], wanted[read], rtol=1e-4)
+
+
+def test_strays_reach_neither_stage_one_nor_the_outlines():
+    rgb, seen = frame(64, 96)[0], []
+    ditr = Ditr(untrained(), TINY, boundary=lambda image: seen.append(image) or np.zeros(image.shape[:2], bool))
+    spoilt = plane(64, 96)
+    without = spoilt.copy()
+    spoilt[5:60:10, 7:90:12], without[5:60:10, 7:90:12] = 40, 0
+    believed, wanted = (ditr.classify(rgb, d)[1] for d in (spoilt, without))
+    assert np.array_equal(believed, wanted)
+    ditr.boundaries(rgb, spoilt)
+    assert np.array_equal(seen[-1], without) and seen[-1].ndim == 2
+
+
+@pytest.mark.parametrize("size", [(64, 96), (60, 160)])
+def test_each_outline_goes_by_its_own_name(size):
+    def find(image):
+        rows, columns = np.indices(image.shape[:2])
+        return columns % 8 == 0 if image.ndim == 3 else (columns == 16) & (rows < 20)
+
+    rgb, depth, region = frame(*size)
+    ditr, fitted = Ditr(untrained(), TINY, boundary=find), fit_frame(size, TINY.size)
+    small = np.zeros((fitted.height, fitted.width, 3)), np.zeros((fitted.height, fitted.width))
+    m_rgb, m_d = map(find, small)
+    wanted = [fitted.back(m) for m in (m_rgb, m_d, depth_aware(m_rgb, m_d))]
+    assert len({m.tobytes() for m in wanted}) == 3 and all(m.any() for m in wanted)
+    out = ditr(rgb, depth, region)
+    for found in ((out.boundary_rgb, out.boundary_depth, out.boundary_da), ditr.boundaries(rgb, depth)):
+        assert all(np.array_equal(*pair) for pair in zip(found, wanted, strict=True))
 
 
 # --- who paints what --------------------------------------------------------------------------------------------------
@@ -352,6 +435,23 @@ def test_weights_from_a_folder_are_the_ones_used(tmp_path):
     for name, part in half.items():
         part.load_state_dict(states[name])
     assert same_bits(loaded(rgb, depth, region).depth, Ditr(half, TINY)(rgb, depth, region).depth)
+
+
+def test_loading_asks_for_the_preset_and_takes_the_callers_sampler(tmp_path):
+    for name, part in untrained().items():
+        save_part(name, part.state_dict(), TINY, tmp_path, {})
+    calls = []
+
+    def own(*given, **how):
+        calls.append(given[1])
+        return sample(*given, **how)
+
+    loaded = Ditr.from_pretrained(tmp_path, preset="tiny", sampler=own)
+    assert loaded.config == TINY
+    loaded(*frame(64, 96), samples=1)
+    assert len(calls) == len(BRANCHES)
+    with pytest.raises(ValueError, match="only the tiny preset is what"):
+        Ditr.from_pretrained(tmp_path, preset="lite")
 
 
 def test_weights_of_another_size_are_refused_by_name(tmp_path):
