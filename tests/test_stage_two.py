@@ -1,3 +1,5 @@
+from functools import partial
+
 import pytest
 import torch
 
@@ -114,6 +116,13 @@ def test_a_seed_paints_the_same_and_samples_differ():
     who, what = painter(), views()
     one, again, other = (go(who, what, seed, samples=2) for seed in (1, 1, 2))
     assert torch.equal(one, again) and not torch.equal(one, other) and not torch.equal(one[0], one[1])
+
+
+def test_a_seed_is_also_of_the_noise_that_the_steps_add():
+    who, what, noisy = painter(), views(), partial(sample, eta=1.0)
+    one, again, other = (go(who, what, seed, steps=3, sampler=noisy) for seed in (1, 1, 2))
+    assert torch.equal(one, again) and not torch.equal(one, other)
+    assert not torch.equal(one, go(who, what, 1, steps=3))
 
 
 def test_many_samples_are_drawn_in_groups_and_are_the_same(monkeypatch):
