@@ -117,13 +117,20 @@ def test_scan_lines_survive_and_the_reading_closest_to_the_centre_counts():
     assert not same.any()  # nothing was made smaller
 
 
+def test_colour_is_averaged_where_it_is_made_smaller():
+    rgb = np.random.default_rng(0).integers(0, 256, (192, 288, 3), np.uint8)
+    blocks = rgb.reshape(64, 3, 96, 3, 3).mean(axis=(1, 3))  # each pixel of the working size holds 3 x 3 of these
+    assert np.abs(fit_frame((192, 288), (64, 96)).into(rgb) - blocks).max() <= 0.51
+
+
 def test_way_back_is_smooth_on_surfaces_and_sharp_at_jumps():
     ramp = np.tile(np.linspace(1, 1.2, 96, dtype=np.float32), (64, 1))
     frame = fit_frame((128, 192), (64, 96))
     fine = frame.back(ramp)[0]
     assert np.abs(np.diff(fine, 2)).max() < 1e-3 and len(np.unique(fine)) > 150  # no staircase
-    step = np.where(np.arange(96) < 48, np.float32(0.5), np.float32(1.0)) * np.ones((64, 1), np.float32)
-    assert set(np.unique(frame.back(step))) == {0.5, 1}  # no flying pixel between the two
+    for near in (0.5, 0.9375):  # a jump of 6 cm at 1 m is one, too
+        step = np.where(np.arange(96) < 48, np.float32(near), np.float32(1.0)) * np.ones((64, 1), np.float32)
+        assert set(np.unique(frame.back(step))) == {near, 1}  # no flying pixel between the two
 
 
 def test_at_the_working_size_a_map_comes_back_as_a_copy_of_itself():
@@ -278,6 +285,23 @@ def test_far_things_have_their_own_window_and_near_specks_share_one():
     assert placed[0][1][36, 64] != placed[1][1][36, 64]
     home = next(pixels for _, pixels in placed if pixels[36, 64])
     assert home[30, 30]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize(("end", "windows"), [(72, 1), (73, 2), (80, 2)])
+def test_a_speck_shares_a_window_unless_it_lies_in_the_tenth_at_its_border(axis, end, windows):
+    thing, speck = (20, 20, 60, 60), (35, end - 2, 37, end)  # the window of the thing ends at 80
+    region = blobs((300, 300), thing, speck if axis else (*speck[1::-1], *speck[:1:-1]))
+    assert len(choose_windows(region)) == windows
+
+
+def test_pieces_that_touch_at_a_corner_are_one():
+    steps = ((20, 20, 30, 30), (30, 30, 40, 40), (40, 40, 50, 50))
+    apart = (100, 100, 115, 115)  # larger than each of the steps, smaller than all of them
+    region = blobs((200, 200), *steps, apart)
+    assert np.array_equal(largest_piece(region), blobs((200, 200), *steps))
+    (one, _), _ = choose_windows(region)
+    assert one == Window(5, 5, 60)
 
 
 def test_more_things_than_windows_join_the_nearest_one():
