@@ -1,7 +1,6 @@
 """Each row of the table of protocols: what it scores, cleans, pools; all selectable by name."""
 
 from dataclasses import replace
-from math import inf
 
 import numpy as np
 import pytest
@@ -58,12 +57,48 @@ def test_only_the_reported_sets_are_scored_and_a_perfect_map_is_perfect(name):
     assert "inf" not in protocol.describe() and all(protocol.label(key) for key in protocol.sets)
 
 
-@pytest.mark.parametrize("name", [n for n, p in PROTOCOLS.items() if p.size])
-def test_the_size_decides_how_many_pixels_there_are(name):
-    protocol = PROTOCOLS[name]
-    whole = replace(protocol, sets=("whole",), truth_m=(0.0, inf)).score(offset(sample()), sample())
-    height, width = protocol.size
-    assert whole["whole"]["n"] == pytest.approx(height * width * 23 / 24, rel=0.01)
+DESCRIBED = {
+    "cleargrasp": "region; 256 x 144; input 0.1 to 1.5 m, clipped",
+    "lidf": "region; 256 x 144",
+    "transparenet": "region; 256 x 144; truth beyond 0.01 m; REL is a median; mae, d105, d110, d125 pooled",
+    "dfnet": "region and whole; 320 x 240; input 0.3 to 1.5 m; truth 0.3 to 1.5 m; empty counts as perfect",
+    "swindrnet": "instances and background; 224 x 126",
+    "d3roma": "whole; own size; truth 0.2 to 2 m",
+    "marigold": "whole; own size; scale and shift fitted",
+}
+
+
+def test_every_protocol_is_as_its_code_has_it():
+    assert {name: protocol.describe() for name, protocol in PROTOCOLS.items()} == DESCRIBED
+
+
+@pytest.mark.parametrize(
+    ("name", "height", "width"),
+    [
+        ("cleargrasp", 144, 256),
+        ("lidf", 144, 256),
+        ("transparenet", 144, 256),
+        ("dfnet", 240, 320),
+        ("swindrnet", 126, 224),
+        ("d3roma", *SHAPE),
+        ("marigold", *SHAPE),
+    ],
+)
+def test_the_size_decides_how_many_pixels_there_are(name, height, width):
+    truth = np.zeros(SHAPE, np.float32)
+    truth[12] = 0.8  # one row, so that height and width count apart
+    protocol = replace(PROTOCOLS[name], sets=("whole",))
+    scores = protocol.score(np.full(SHAPE, 0.8, np.float32), sample(depth_gt=truth))
+    rows = int((np.arange(height) * SHAPE[0] // height == 12).sum())
+    assert scores["whole"]["n"] == rows * width
+
+
+def test_what_is_pooled_is_averaged_over_pixels_and_the_rest_over_images():
+    few, many = (dict.fromkeys(metrics.METRICS, value) | {"n": n} for value, n in ((1.0, 1), (5.0, 3)))
+    results = [dict.fromkeys(metrics.SETS) | {"optical": scores} for scores in (few, many)]
+    row = PROTOCOLS["transparenet"].average(results)["optical"]
+    assert {m: row[m] for m in metrics.METRICS} == {"rmse": 3, "mae": 4, "rel": 3, "d105": 4, "d110": 4, "d125": 4}
+    assert PROTOCOLS["lidf"].average(results)["optical"]["d110"] == 3
 
 
 def test_resizing_is_by_nearest_neighbour():
