@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ditr_lite import baselines, datasets, metrics, pipeline, store
-from ditr_lite.config import preset
+from ditr_lite.config import override, preset
 from ditr_lite.data import Sample
 from ditr_lite.evaluation import scoring, stage_one
 from ditr_lite.evaluation.protocols import CLEARGRASP, PROTOCOLS
@@ -58,6 +58,15 @@ class FakeDitr:
         maps = {key: region for key in ("boundary_rgb", "boundary_depth", "boundary_da")}
         branches = {"optical": painted, "geometric": painted, "windows": ()}
         return Completion(out, region, 0 * out, **maps, probability=probability, **branches)
+
+
+@pytest.fixture(scope="module")
+def partly(tiny):
+    """The same system, which untrained claims every pixel, with a threshold above which it claims half of a frame."""
+    sample = make_sample()
+    median = float(np.median(tiny.find_region(sample.rgb, sample.depth)[0]))
+    settings = {"refine.threshold": median, "refine.median": 0, "refine.dilate": 0}
+    return pipeline.Ditr(tiny.parts, override(tiny.config, **settings))
 
 
 def test_every_method_gets_the_region_and_composition_of_ditr():
@@ -127,6 +136,16 @@ def test_a_reading_that_changed_by_one_bit_is_noticed():
     good, bad = (run_methods([make_sample()], FakeDitr(spoil=spoil), {}, progress=False) for spoil in (False, True))
     assert good[0]["kept"] and not bad[0]["kept"]
     assert "bit for bit" in format_report(summary(good)) and "CHANGED" in format_report(summary(bad))
+    assert not summary(good + bad)["kept"] and "CHANGED" in format_report(summary(bad + good))
+
+
+def test_a_reading_that_is_no_number_counts_as_missing():
+    odd, missing = make_sample(), make_sample()
+    odd.depth[40:44, 60:70], odd.depth[5, 5:8], missing.depth[40:44, 60:70], missing.depth[5, 5:8] = np.nan, -1, 0, 0
+    ditr = FakeDitr()
+    results = run_methods([odd, missing], ditr, progress=False)
+    assert results[0] == results[1] and results[0]["kept"]
+    assert np.array_equal(ditr.calls[0][0], missing.depth)
 
 
 def test_refusals_are_counted_and_do_not_stop_the_run():
@@ -179,6 +198,11 @@ def test_summary_averages_images_and_pairs_differences():
     assert np.isclose(mean, 0.02 - 0.03, atol=1e-6) and low <= mean <= high
     assert np.isclose(low, -0.02, atol=1e-6) and np.isclose(high, 0, atol=1e-6)
     assert report["stage_one"]["iou"][0] == pytest.approx(20 / 22)
+    means, pooled = (block.splitlines() for block in format_report(report).split("Pooled over all pixels instead"))
+    column = 1 + metrics.SETS.index("optical")
+    (row,) = (line.split() for line in pooled[2:5] if line.startswith("ditr"))
+    assert row[column] == f"{10 * np.sqrt(14 / 3):.1f}" == "21.6"
+    assert any(line.split()[:2] == ["ditr", "20.0"] for line in means)
 
 
 def test_the_sensor_is_compared_where_it_read_something_only():
@@ -196,6 +220,7 @@ def test_cleargrasp_protocol_cleans_the_input_and_scores_the_region_at_its_size(
     sample.depth[2, 2], sample.depth[2, 3] = 0.05, 2.0
     (result,) = run_methods([sample], ditr, {}, progress=False, protocol=CLEARGRASP)
     assert len(ditr.calls) == 3 and ditr.calls[2][0][2, 2] == 0 and ditr.calls[2][0][2, 3] == 1.5
+    assert [region for _, region, *_ in ditr.calls] == [None] * 3
     assert (
         result["kept"] and result["methods"]["ditr"]["whole"]["rmse"] > 0.01
     )  # our own tables take the frame as it is
@@ -242,12 +267,13 @@ def test_json_holds_checksums_command_and_every_frame(tmp_path):
     assert np.isclose(missed, values["summary"]["stage_one"]["miss_rate"][0], atol=1e-6)
 
 
-def test_the_real_system_keeps_what_it_must(tiny):
-    (result,) = run_methods([make_sample()], tiny, {}, steps=1, samples_per_frame=1, progress=False)
+def test_the_real_system_keeps_what_it_must(partly):
+    (result,) = run_methods([make_sample()], partly, {}, steps=1, samples_per_frame=1, progress=False)
     assert result["kept"] and result["methods"]["ditr"]["whole"]["n"] == (SHAPE[0] - 1) * SHAPE[1]
-    assert scoring.kept_bit_for_bit(tiny(make_sample().rgb, make_sample().depth, steps=1), make_sample().depth)
-    adjusted = tiny(make_sample().rgb, make_sample().depth, make_sample().region, steps=1, adjust=True)
-    assert not scoring.kept_bit_for_bit(adjusted, make_sample().depth)
+    sample = make_sample()
+    out, adjusted = (partly(sample.rgb, sample.depth, steps=1, samples=1, adjust=a) for a in (False, True))
+    assert 0.3 < out.region.mean() < 0.7 and np.array_equal(out.region, adjusted.region)
+    assert scoring.kept_bit_for_bit(out, sample.depth) and not scoring.kept_bit_for_bit(adjusted, sample.depth)
 
 
 def test_readings_too_sparse_to_survive_resizing_do_not_stop_it(tiny):
