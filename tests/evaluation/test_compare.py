@@ -47,6 +47,20 @@ def test_only_the_second_system_works_otherwise(monkeypatch):
         compare.compare_weights(None, None, [], settings={"autoencoder.width": "8"})
 
 
+@pytest.mark.parametrize("given", [False, True])
+def test_both_systems_find_the_region_or_are_given_it(monkeypatch, given):
+    asked = []
+
+    def run(samples, folder, methods, given_region):
+        asked.append((folder, given_region))
+        return [{"name": "a", "methods": {"ditr": {key: {"rmse": 1.0} for key in metrics.SETS}}}]
+
+    monkeypatch.setattr(compare.Ditr, "from_pretrained", lambda path: path)
+    monkeypatch.setattr(compare, "run_methods", run)
+    compare.compare_weights("one", "two", [], given)
+    assert asked == [("one", given), ("two", given)]
+
+
 def test_a_setting_that_there_is_not_is_called_unknown():
     with pytest.raises(ValueError, match="unknown"):
         compare.compare_weights(None, None, [], settings={"sampler.step": "4"})

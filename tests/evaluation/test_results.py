@@ -36,6 +36,12 @@ def test_results_are_current_until_the_weights_change(weights):
     assert results.is_current(only, weights) and not results.is_current(both, weights)
 
 
+def test_results_of_a_part_that_these_weights_lack_are_outdated(weights):
+    report = results.head("c", weights)
+    report["weights_sha256"]["detail"] = "0" * 64
+    assert results.outdated(report, weights) == ["detail"] and not results.is_current(report, weights)
+
+
 def test_results_are_current_until_the_settings_change(weights):
     begin = results.head("c", weights)
     assert results.outdated(begin, weights) == []
