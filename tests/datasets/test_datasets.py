@@ -1,5 +1,6 @@
 import json
 import pickle
+import shutil
 from pathlib import Path
 
 import cv2
@@ -153,6 +154,17 @@ def test_every_reader(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", MAKE)
+def test_hidden_files_are_no_frames(tmp_path, name):
+    reader, make, _ = MAKE[name]
+    make(tmp_path / "seen")
+    names = reader(tmp_path / "seen").names
+    for path in [path for path in (tmp_path / "seen").rglob("*") if path.is_file()]:
+        path.with_name(f"._{path.name}").write_bytes(b"\x00\x05\x16\x07")  # as macOS leaves them
+    shutil.copytree(tmp_path / "seen", tmp_path / "seen" / ".Trash-1000")
+    assert reader(tmp_path / "seen").names == names
+
+
+@pytest.mark.parametrize("name", MAKE)
 def test_a_wrong_root_or_split_is_explained(tmp_path, name):
     reader, make, _ = MAKE[name]
     with pytest.raises(ValueError, match=f"no {reader.__name__} frames in .*expected .*(depth|NNN)"):
@@ -176,6 +188,16 @@ def test_materials_of_std_and_trosd(tmp_path):
         assert (material[4:8, 5:8] == TRANSPARENT).all() and (material[4:8, 8:11] == REFLECTIVE).all()
     instances = datasets.STD(tmp_path / "std")[0].instances
     assert set(np.unique(instances)) == {0, 1, 2, 3}
+
+
+def test_faint_colours_of_a_mask_of_trosd_are_no_material(tmp_path):
+    make_trosd(tmp_path / "train")
+    path = tmp_path / "train" / "mask" / "0001.png"
+    mask = cv2.imread(str(path))
+    mask[0, 0], mask[0, 1], mask[0, 2], mask[0, 3] = (0, 0, 127), (0, 127, 0), (0, 0, 128), (0, 128, 0)
+    put(path, mask)
+    material = datasets.TROSD(tmp_path)[0].material
+    assert material[0, :5].tolist() == [0, 0, TRANSPARENT, REFLECTIVE, 0]
 
 
 def test_cleargrasp_takes_a_flat_folder_and_does_without_truth(tmp_path):
