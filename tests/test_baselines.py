@@ -83,6 +83,22 @@ def test_joint_bilateral_follows_colour():
     assert np.abs(blind - depth).max() > 0.1
 
 
+def test_joint_bilateral_weighs_readings_by_their_distance():
+    depth = np.select([U < 31, U > 33], [0.5, 1.0], 0).astype(np.float32)  # three columns are missing
+    near, middle, far = np.exp(-(np.arange(1, 4) ** 2) / (2 * 1.5**2))
+    share = far / (near + middle + 2 * far)  # of the only column at 1 m that column 31 can see
+    filled = REGISTRY["joint_bilateral"](GREY, depth)
+    np.testing.assert_allclose(filled[4:-4, 31], 0.5 + 0.5 * share, rtol=1e-5)
+    np.testing.assert_allclose(filled[4:-4, 32], 0.75, rtol=1e-5)
+
+
+def test_joint_bilateral_waits_for_readings_of_its_own_colour():
+    depth = np.select([U < 24, U > 31], [0.5, 1.0], 0).astype(np.float32)
+    rgb = np.where(U < 32, 40, 65).astype(np.uint8)[..., None].repeat(3, axis=-1)  # the hole looks like what is at 0.5
+    filled = REGISTRY["joint_bilateral"](rgb, depth)
+    assert filled[:, 24:32].max() < 0.6
+
+
 # contracts common to all
 
 
