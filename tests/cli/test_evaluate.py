@@ -1,13 +1,14 @@
 """``evaluate`` and ``bench``: units, bad frames, results that replace nothing else, a reader's failing method."""
 
 import json
+import re
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from ditr_lite import data
+from ditr_lite import data, pipeline
 from ditr_lite.cli import evaluate, main
 from ditr_lite.datasets import export
 
@@ -55,6 +56,33 @@ def test_bad_frames_are_left_out_and_reported_on_demand(folder, weights, tmp_pat
     sorted((folder / "truth").iterdir())[0].unlink()
     code, found = scores(folder, weights, tmp_path, "--skip-bad")
     assert code == 3 and len(found) == 1 and "it has no ground-truth depth" in capsys.readouterr().err
+
+
+def test_steps_and_samples_reach_the_system_and_the_results_say_how_it_worked(scenes, weights, tmp_path, monkeypatch):
+    asked, complete = [], pipeline.Ditr.__call__
+
+    def spy(self, rgb, depth, region=None, steps=None, samples=None):
+        asked.append((steps, samples, self.config.refine.threshold))
+        return complete(self, rgb, depth, region, steps, samples)
+
+    monkeypatch.setattr(pipeline.Ditr, "__call__", spy)
+    target = tmp_path / "e.json"
+    argv = ["evaluate", "--root", str(scenes), "--limit", "1", "--weights", str(weights), "--json", str(target)]
+    assert main([*argv, "--steps", "2", "--samples", "3", "--threshold", "0.3", "--refine", "3,5,2"]) == 0
+    assert asked == [(2, 3, 0.3)]
+    written = json.loads(target.read_text())
+    told = {key: written[key] for key in ("given_region", "steps", "samples", "threshold", "refine")}
+    assert told == {"given_region": False, "steps": 2, "samples": 3, "threshold": 0.3, "refine": [3, 5, 2]}
+
+
+def test_cleargrasp_is_scored_as_its_own_code_does_unless_another_is_named(scenes, weights, tmp_path, capsys):
+    camera = data.Camera(90.0, 90.0, 47.5, 31.5, 96, 64)
+    sample = replace(data.load_sample("test_00000", scenes), camera=camera)
+    export.export("cleargrasp", tmp_path / "cg", [sample])
+    argv = ["evaluate", "--dataset", "cleargrasp", "--root", str(tmp_path / "cg"), "--weights", str(weights), *QUICK]
+    for more, whose in (([], "ClearGrasp"), (["--protocol", "lidf"], "LIDF")):
+        assert main([*argv, *more]) == 0
+        assert re.findall("As (.*)'s code scores", capsys.readouterr().out) == [whose]
 
 
 def test_why_every_frame_is_bad_is_told(folder, weights, capsys):
