@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from ditr_lite import data, pipeline, store
 from ditr_lite.config import preset
@@ -15,6 +16,19 @@ def weights(tmp_path_factory):
     """Untrained weights of the tiny preset: enough to run everything."""
     folder, config = tmp_path_factory.mktemp("weights"), preset("tiny")
     for name, module in pipeline.build(config).items():
+        store.save_part(name, module.state_dict(), config, folder, {})
+    return folder
+
+
+@pytest.fixture(scope="session")
+def woken(tmp_path_factory):
+    """The same with output layers that do not start at zero, so that noise shows in what is painted."""
+    folder, config = tmp_path_factory.mktemp("woken"), preset("tiny")
+    torch.manual_seed(0)
+    for name, module in pipeline.build(config).items():
+        for parameter in module.parameters():
+            if parameter.ndim > 1 and not parameter.any():
+                torch.nn.init.normal_(parameter, std=0.05)
         store.save_part(name, module.state_dict(), config, folder, {})
     return folder
 

@@ -74,6 +74,40 @@ def test_readings_in_tenths_of_a_millimetre_stay_exact(frame, weights, tmp_path)
     assert np.array_equal(out[keep], tenths[keep])
 
 
+def test_readings_outside_the_region_move_when_that_is_asked_for(frame, woken, tmp_path):
+    cv2.imwrite(str(frame / "b.png"), np.random.default_rng(0).integers(500, 700, SHAPE).astype(np.uint16))
+    given = {"rgb": frame / "a.png", "depth": frame / "b.png", "region": frame / "m.png"}
+    assert main(command(woken, **given, out=tmp_path / "kept.npy")) == 0
+    assert main([*command(woken, **given, out=tmp_path / "moved.npy"), "--adjust"]) == 0
+    raw, region = files.read_depth(frame / "b.png"), files.read_mask(frame / "m.png")
+    kept, moved = np.load(tmp_path / "kept.npy"), np.load(tmp_path / "moved.npy")
+    outside = (raw > 0) & ~region
+    assert np.array_equal(kept[outside], raw[outside]) and (moved != raw)[outside].mean() > 0.9
+    assert np.array_equal(kept[~outside], moved[~outside])
+
+
+def test_a_seed_paints_the_same_file_and_another_one_another(frame, woken, tmp_path):
+    given = {"rgb": frame / "a.png", "depth": frame / "b.png", "region": frame / "m.png"}
+    for name, number in (("one", 1), ("again", 1), ("other", 2)):
+        assert main(command(woken, **given, out=tmp_path / f"{name}.npy", seed=number)) == 0
+    one, again, other = ((tmp_path / f"{name}.npy").read_bytes() for name in ("one", "again", "other"))
+    assert one == again != other
+
+
+def test_a_picture_shows_the_error_to_expect_in_maps_of_the_width_asked_for(frame, woken, tmp_path, monkeypatch):
+    shown = []
+    monkeypatch.setattr("ditr_lite.viz.save_panel", lambda path, *maps, **how: shown.append((maps, how)))
+    given = {"rgb": frame / "a.png", "depth": frame / "b.png", "region": frame / "m.png"}
+    given |= {"out": tmp_path / "c.npy", "panel": tmp_path / "c.png", "samples": 3}
+    assert main(command(woken, **given)) == main(command(woken, **given, panel_width=700)) == 0
+    rgb, depth, region = files.read_rgb(frame / "a.png"), files.read_depth(frame / "b.png"), given["region"]
+    out = pipeline.Ditr.from_pretrained(woken)(rgb, depth, files.read_mask(region), steps=1, samples=3)
+    assert out.std.any()
+    for maps, _ in shown:
+        assert all(map(np.array_equal, maps, (rgb, depth, out.depth, out.region, out.std)))
+    assert [how["width"] for _, how in shown] == [480, 700]
+
+
 def test_depth_in_an_odd_unit_is_warned_of_once_and_completed(frame, weights, tmp_path, capsys):
     np.save(frame / "b.npy", np.full(SHAPE, 6.1))
     given = {"rgb": frame / "a.png", "depth": frame / "b.npy", "region": frame / "m.png", "out": tmp_path / "c.npy"}
@@ -154,15 +188,19 @@ def test_one_frame_in_folders_is_paired_whatever_its_files_are_called(frame, wei
     assert "has a depth map of its name" in refused(command(weights, **given), capsys)
 
 
-def test_pictures_that_are_wanted_later_are_made_then(folders, weights, tmp_path, capsys):
-    shutil.copy(tmp_path / "depth" / "000.PNG", tmp_path / "depth" / "001.PNG")
+@pytest.mark.parametrize(("wanted", "more"), [("panel_dir", {}), ("ply_dir", {"intrinsics": "K.txt"})])
+def test_pictures_and_clouds_that_are_wanted_later_are_made_then(
+    frame, folders, weights, tmp_path, capsys, wanted, more
+):
+    for kind, name in (("rgb", "001.png"), ("depth", "001.PNG")):  # the damaged frame
+        (tmp_path / kind / name).unlink()
     assert main(command(weights, **folders)) == 0
-    folders["panel_dir"] = tmp_path / "panels"
+    folders |= {wanted: tmp_path / "later", **{name: frame / file for name, file in more.items()}}
     assert main(command(weights, **folders)) == 0
-    assert len(list((tmp_path / "panels").iterdir())) == 3
+    assert {path.stem for path in (tmp_path / "later").iterdir()} == {"000", "002"}
     capsys.readouterr()
     assert main(command(weights, **folders)) == 0
-    assert "0 frames completed, 3 were there already" in capsys.readouterr().out
+    assert "0 frames completed, 2 were there already" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

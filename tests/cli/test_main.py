@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from ditr_lite import data, files, store
 from ditr_lite.cli import main, parser, shared
 from ditr_lite.cli.evaluate import DATASETS
 from ditr_lite.cli.train import folders
+from ditr_lite.config import preset
 from ditr_lite.evaluation import timing
 from ditr_lite.training import recipes
 
@@ -49,13 +51,15 @@ def test_complete_writes_dense_depth_and_keeps_readings(frame, weights, tmp_path
     assert f"96 x 64, {depth.min():.3f}" in capsys.readouterr().out
 
 
-def test_complete_writes_cloud_and_picture(frame, weights, tmp_path):
+def test_complete_writes_cloud_and_picture(frame, woken, tmp_path):
+    cv2.imwrite(str(frame / "b.png"), np.random.default_rng(0).integers(500, 700, SHAPE).astype(np.uint16))
     ply, panel = tmp_path / "c.ply", tmp_path / "c_panel.png"
-    extra = {"ply": ply, "panel": panel, "intrinsics": frame / "K.txt", "seed": 3}
-    assert main([*arguments(frame, weights, tmp_path / "c.npy", **extra), "--adjust"]) == 0
+    extra = {"ply": ply, "panel": panel, "intrinsics": frame / "K.txt", "seed": 3, "region": frame / "m.png"}
+    assert main([*arguments(frame, woken, tmp_path / "c.npy", **extra), "--adjust"]) == 0
     assert f"element vertex {SHAPE[0] * SHAPE[1]}".encode() in ply.read_bytes()[:400]
     assert cv2.imread(str(panel)).ndim == 3
-    assert not np.array_equal(np.load(tmp_path / "c.npy") == np.float32(0.6), files.read_depth(frame / "b.png") > 0)
+    raw, region = files.read_depth(frame / "b.png"), files.read_mask(frame / "m.png")
+    assert (np.load(tmp_path / "c.npy") != raw)[(raw > 0) & ~region].mean() > 0.9
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c.npy", "c.ply", "c_panel.png", "in"]
 
 
@@ -443,6 +447,16 @@ def test_readme_shows_the_cost_of_a_training_on_scenes_that_are_shipped(monkeypa
     monkeypatch.chdir(ROOT)
     data, _ = folders(parser().parse_args(shlex.split(line, comments=True)[3:]))
     assert all(folder.resolve().is_relative_to(ROOT / "data_samples") for folder in data)
+
+
+def test_the_system_takes_threshold_and_kernels_from_the_command_line(weights):
+    def refine_of(*words):
+        return shared.load_system(parser().parse_args(["evaluate", "--weights", str(weights), *words])).config.refine
+
+    tiny = preset("tiny").refine
+    assert refine_of() == tiny
+    assert refine_of("--threshold", "0.3") == replace(tiny, threshold=0.3)
+    assert refine_of("--refine", "3,5,2") == replace(tiny, median=3, dilate=5, iterations=2)
 
 
 def test_a_place_that_takes_no_file_is_refused_before_any_work(tmp_path, monkeypatch):
