@@ -93,9 +93,10 @@ class RealFrames:
         if self.val_split is None and self.val_root is None:
             return {}
         root = Path(self.val_root or self.root)
-        if (root.resolve(), self.val_split) == (Path(self.root).resolve(), self.split):
+        same = self.val_split == self.split or None in (self.val_split, self.split)  # None is all of a dataset
+        if same and root.resolve() == Path(self.root).resolve():
             raise ValueError(
-                f"frames of {root} are trained on and cannot judge: name another --val-root or --val-split"
+                f"frames of {root} are trained on and cannot judge: name another --val-root, or --split and --val-split"
             )
         groups = self.scenes(part, config, self.val_split, root)
         return {f"{self.name}_{self.val_split or root.name}{k or ''}": group for k, group in enumerate(groups)}

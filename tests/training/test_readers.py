@@ -64,6 +64,11 @@ def test_frames_to_validate_on_may_lie_in_a_folder_of_their_own(exported, tmp_pa
     for again in (exported / "folder", exported / "todd" / ".." / "folder"):
         with pytest.raises(ValueError, match="are trained on and cannot judge: name another --val-root"):
             replace(plain, val_root=again).held_out("optical", TINY)
+    todd = RealFrames("todd", exported / "todd", cache=tmp_path / "cache")
+    for both in ({"split": None, "val_split": "val"}, {"split": "val", "val_root": exported / "todd"}):  # None: all
+        with pytest.raises(ValueError, match="or --split and --val-split"):
+            replace(todd, **both).held_out("region", TINY)
+    assert replace(todd, split="train", val_split="val").held_out("region", TINY)
 
 
 def test_the_unit_of_a_folder_of_ones_own_can_be_said(exported, tmp_path):
