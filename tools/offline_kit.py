@@ -28,6 +28,7 @@ from packaging.utils import canonicalize_name, parse_wheel_filename
 ROOT = Path(__file__).resolve().parents[1]
 TOP = "ditr_lite_offline"
 PAGES = ("book", "slides")
+SAFELY = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}  # of extractall; Python before 3.11.4 has none
 SYSTEMS = {  # how pip's names of platforms begin -> os.name, sys.platform, platform.system()
     "win": ("nt", "win32", "Windows"),
     "macosx": ("posix", "darwin", "Darwin"),
@@ -128,7 +129,7 @@ def repository(folder: Path) -> None:
     if done.returncode:
         raise OSError(f"the kit is made from a clone: {done.stderr.decode(errors='replace').strip()}")
     with tarfile.open(fileobj=io.BytesIO(done.stdout)) as archive:
-        archive.extractall(folder, filter="data")
+        archive.extractall(folder, **SAFELY)
 
 
 def pack(files: dict[str, Path | str], target: Path) -> None:

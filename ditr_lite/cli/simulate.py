@@ -90,7 +90,19 @@ def run_export(options: Namespace) -> None:
     name, folder = options.export_as
     split = options.split or "val"
     names = list_samples(split, options.root)[: options.count]
-    exports.export(name, folder, (load_sample(n, options.root) for n in names), split)
+    cameras = set()
+
+    def scenes():
+        for scene in names:
+            sample = load_sample(scene, options.root)
+            cameras.add(sample.camera)
+            yield sample
+
+    exports.export(name, folder, scenes(), split)
+    if name == "folder" and len(cameras) > 1:
+        print(
+            f"{len(cameras)} cameras took these scenes, and a folder has one: clouds by its intrinsics.npy will be off"
+        )
     if REGISTRY[name](folder)[0].depth_gt is None:
         advice = "they hold no true depth, so `evaluate` has nothing to score"
     else:

@@ -8,7 +8,6 @@ camera each, these formats one for all: where they keep it in a file, that holds
 import json
 import math
 import shutil
-import warnings
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -57,20 +56,12 @@ def export(dataset: str, root: Path | str, samples: Iterable[Sample], split: str
     place = root.resolve().parent
     place.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=".export-", dir=place) as part:
-        cameras = set()
         for number, sample in enumerate(samples):
-            cameras.add(sample.camera)
             if any(value is None for value in (sample.depth_gt, sample.material, sample.camera)):
                 raise ValueError(
                     f"{sample.name} lacks ground truth, material or camera: only our own scenes can be exported"
                 )
             WRITERS[dataset](Path(part), theirs, number, sample)
-        if dataset == "folder" and len(cameras) > 1:
-            warnings.warn(
-                f"the {len(cameras)} cameras of these scenes differ, and a folder has one: intrinsics.npy is of one of "
-                "them, and point clouds of the others will be off",
-                stacklevel=2,
-            )
         root.mkdir(exist_ok=True)
         for entry in sorted(Path(part).iterdir()):
             shutil.move(entry, root / entry.name)

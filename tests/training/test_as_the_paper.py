@@ -224,7 +224,7 @@ def test_the_papers_preset_minimises_eq_8(monkeypatch):
         torch.manual_seed(0)
         painter = painter_of("geometric", build(config), config)
         how = (config, Recipe(9, 8, 1e-3), get_backend("classical"))
-        totals.append(float(recipes.branch_step("geometric", painter, pool, *how)(0)["total"]))
+        totals.append(float(recipes.branch_step("geometric", painter, pool, *how)(0)["total"].detach()))
     (_, _, _, t_ours, *_, no_weight, ours), (out, x0, eps, t, schedule, _, _, mask) = scored
     assert (t_ours == 999).sum() == 4 and (t == 999).sum() == 0  # half of a batch is the last step; or any may come
     assert no_weight is None and ours.max() > 1 > ours.min() > 0  # cells that must be painted count most
