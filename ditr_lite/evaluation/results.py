@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..config import Config, to_dict
 from ..files import write_json
-from ..store import WEIGHTS, read_card
+from ..store import WEIGHTS, read_card, read_config
 
 
 def head(
@@ -43,8 +44,15 @@ def head(
 
 
 def settings_sum(weights: Path | str | None = None) -> str:
-    """Return a checksum of how these weights are used, but for the fit of ``std``: size, looks, threshold, steps ..."""
-    settings = {key: value for key, value in read_card(weights)["config"].items() if key != "std"}
+    """Return a checksum of how these weights are used, but for the fit of ``std``: size, looks, threshold, steps ...
+
+    Settings at their defaults do not count: a card that does not name them says the same.
+    """
+    ours, plain = to_dict(read_config(weights)), to_dict(Config())
+    settings = {key: value for key, value in ours.items() if key != "std" and value != plain[key]}
+    for key, value in settings.items():
+        if isinstance(value, dict):
+            settings[key] = {name: each for name, each in value.items() if each != plain[key][name]}
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
 
 

@@ -52,6 +52,11 @@ def test_results_are_current_until_the_settings_change(weights):
     changed = card | {"config": to_dict(override(preset("tiny"), **{"sampler.steps": 3}))}
     (weights / store.CARD).write_text(json.dumps(changed))
     assert results.outdated(begin, weights) == ["settings"]
+    spare = to_dict(preset("tiny"))
+    del spare["sampler"]["objective"], spare["schedule"]  # a card that was written before there were these settings
+    (weights / store.CARD).write_text(json.dumps(card | {"config": spare}))
+    assert results.outdated(begin, weights) == []
+    (weights / store.CARD).write_text(json.dumps(changed))
     del begin["settings_sha256"]  # as older files are
     assert results.is_current(begin, weights)
 
