@@ -11,6 +11,7 @@ from ditr_lite.evaluation.results import is_current, outdated
 from ditr_lite.evaluation.scoring import on_the_same_pixels
 from ditr_lite.evaluation.statistics import bootstrap_mean, format_interval, interval, mean_known
 from ditr_lite.files import written_whole
+from ditr_lite.peers.compare import NO_GLASS
 from ditr_lite.store import read_card
 from ditr_lite.studies import denoisers, peer_tables
 
@@ -74,7 +75,7 @@ def brief(splits: dict[str, dict], frames: dict[str, dict]) -> str:
         f"finds; of the true one it misses {' and '.join(missed)}. = marks what is not measurably different from DITR: "
         f"the 95 % interval of the paired difference holds 0{' (few real frames: left unmarked)' * bool(scored)}.",
     ]
-    without = [row["claimed"] for name, row in frames.items() if "no glass" in name]
+    without = [row["claimed"] for name, row in frames.items() if NO_GLASS in name]
     if without:
         low, high = (f"{100 * share:.1f}" for share in (min(without), max(without)))
         lines[-1] += f" Of {len(without)} real frames without glass it claims {low} to {high} % of the picture."
@@ -193,9 +194,9 @@ def real(result: dict) -> str:
     for frame, row in frames.items():
         missed = "–" if row["missed"] is None else f"{100 * row['missed']:.0f}"
         area = "–" if row["area"] is None else f"{row['area']:.2f}"
-        name = frame.replace("no glass", "without glass")
+        name = frame.replace(NO_GLASS, "(without glass)")
         lines.append(f"| {name} | {100 * row['claimed']:.1f} | {missed} | {area} | {100 * row['moved']:.1f} |")
-    known = dict.fromkeys(frame.removesuffix(" (no glass)").split("/")[0] for frame in frames)
+    known = dict.fromkeys(frame.removesuffix(f" {NO_GLASS}").split("/")[0] for frame in frames)
     sources = "; ".join(f"`{name}`: {SOURCES[name]}" for name in known if name in SOURCES)
     told = f" From GitHub (repository, commit, folder), all under Apache-2.0: {sources}." if sources else ""
     if sources and (others := [name for name in known if name not in SOURCES]):
