@@ -325,6 +325,12 @@ def test_the_variants_of_the_denoiser_go_into_the_readme():
     assert denoisers.DENOISERS["eps"].says in text and "+1.00 [+1.00, +1.00]" in text
 
 
+def test_a_check_that_there_is_not_is_said(capsys):
+    with pytest.raises(SystemExit):
+        soak.main(["--only", "tea"])
+    assert "no check is called like 'tea'; there are" in capsys.readouterr().err
+
+
 ANYWHERE = (soak.two_runs, soak.weights_damaged, soak.training_not_finite, soak.training_damaged, soak.caches_damaged)
 POSIX = (soak.disk_is_full, soak.folder_is_read_only, soak.training_killed)
 

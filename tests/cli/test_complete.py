@@ -226,6 +226,8 @@ def test_folders_that_cannot_be_completed(folders, weights, tmp_path, capsys, ch
         ({"panel_width": 200}, "--panel-width is of a picture: give --panel"),
         ({"intrinsics": "K.txt"}, "--intrinsics is of a point cloud: give --ply"),
         ({"ply": "c.ply"}, "--ply needs the camera: give --intrinsics"),
+        ({"region": "m.png", "threshold": 0.9}, "--threshold is of stage one, which does not run where the region is"),
+        ({"region": "m.png", "refine": "3,3,1"}, "--refine is of stage one"),
     ],
 )
 def test_an_argument_that_would_do_nothing_is_refused(frame, weights, tmp_path, capsys, more, reason):

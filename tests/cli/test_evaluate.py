@@ -104,6 +104,16 @@ def test_results_replace_nothing_else(command, content, tmp_path, capsys):
     assert "holds something else than results" in capsys.readouterr().err and path.read_text() == content
 
 
+def test_a_method_that_is_refused_on_every_frame_ends_the_benchmark(tmp_path, monkeypatch, scenes, weights, capsys):
+    (tmp_path / "whole.py").write_text("def fill(rgb, depth, region):\n    return (1000 * depth).astype('uint16')\n")
+    monkeypatch.chdir(tmp_path)
+    argv = ["bench", "--root", str(scenes), "--limit", "1", "--weights", str(weights), *QUICK, "--no-cost"]
+    assert main([*argv, "--method", "whole:fill", "--json", "b.json"]) == 2
+    said = capsys.readouterr()
+    assert "'fill' was refused on every frame, for the reason above" in said.err and "uint16" in said.out
+    assert not (tmp_path / "b.json").exists()
+
+
 def test_a_failing_method_is_told_by_its_own_line(tmp_path, monkeypatch, scenes, weights, capsys):
     (tmp_path / "indexing.py").write_text("def fill(rgb, depth, region):\n    return depth[0][0][0]\n")
     monkeypatch.chdir(tmp_path)

@@ -253,6 +253,13 @@ def test_an_export_takes_no_option_of_rendering(option, tmp_path, capsys):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(("count", "told"), [(1, False), (2, True)])
+def test_scenes_of_several_cameras_in_one_folder_are_told_of(count, told, tmp_path, capsys):
+    argv = ["simulate", "--export-as", "folder", str(tmp_path / "new"), "--count", str(count)]
+    assert main(argv) == 0
+    assert ("2 cameras took these scenes, and a folder has one" in capsys.readouterr().out) == told
+
+
 def test_a_dataset_without_truth_is_refused(tmp_path, weights, capsys):
     for folder, suffix, array in (
         ("rgb", ".jpg", np.full((*SHAPE, 3), 90, np.uint8)),

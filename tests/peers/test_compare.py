@@ -45,6 +45,9 @@ def test_every_row_is_asked_about_every_frame_once(frames, tmp_path):
     assert json.loads((tmp_path / "truth_told.json").read_text())["key"] == "b"
     score("c", frames[:1]), score("c")
     assert len(asked) == 6  # what other weights made of the second frame is not theirs
+    farther, found = replace(frames[0][0], depth_gt=2 * frames[0][0].depth_gt), frames[0][1]
+    again = compare.score_rows({"truth, told": (truth, "c")}, [(farther, found)], tmp_path, compare.score_rendered)
+    assert len(asked) == 7 and again[farther.name]["truth, told"]["optical"] == 0  # another truth of the same name
 
 
 def test_the_shipped_row_is_the_system(ditr, frames):

@@ -65,9 +65,11 @@ def test_an_arm_trains_all_its_networks_and_can_be_run_again(arm, tmp_path, weig
 
 def test_an_arm_does_not_go_on_above_another_autoencoder(tmp_path, weights, pool):
     run("regression", tmp_path, weights, pool)
-    shutil.rmtree(tmp_path / "out")
     torch.manual_seed(1)
     save_part("autoencoder", build(TINY)["autoencoder"].state_dict(), TINY, tmp_path / "other", {})
+    with pytest.raises(ValueError, match="has the autoencoder of other weights"):
+        run("bb", tmp_path, tmp_path / "other", pool)
+    shutil.rmtree(tmp_path / "out")
     with pytest.raises(ValueError, match="belongs to another run, of other settings"):
         run("regression", tmp_path, tmp_path / "other", pool)
 

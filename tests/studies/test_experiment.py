@@ -210,6 +210,28 @@ def test_what_cannot_be_built_is_refused_before_anything_is_trained(tmp_path, se
     assert not (tmp_path / "tiny").exists()
 
 
+class Narrow(torch.nn.Module):
+    def __init__(self, in_channels, channels, time_channels):
+        super().__init__()
+        self.conv = torch.nn.Conv2d(in_channels, channels, 3)  # no padding: two pixels are lost
+
+    def forward(self, x, time):
+        return self.conv(x)
+
+
+class Foreign(torch.nn.Module):
+    def __init__(self, channels):
+        super().__init__()
+
+
+@pytest.mark.parametrize(("block", "got"), [(Narrow, r"got \(2, 5, 4, 2\)"), (Foreign, "positional argument")])
+def test_a_block_of_another_kind_is_told_what_a_block_is(tmp_path, monkeypatch, block, got):
+    monkeypatch.setitem(experiment.BLOCKS, "mine", block)
+    with pytest.raises(ValueError, match=rf"unet.BLOCKS\['mine'\]: expected block\(in_channels.*{got}"):
+        run(tmp_path, {"unet.block": "mine"})
+    assert not (tmp_path / "tiny").exists()
+
+
 def test_nothing_to_score_on_is_said_before_anything_is_trained(tmp_path):
     with pytest.raises(ValueError, match="no scenes in"):
         compare_settings({"unet.heads": 1}, val=tmp_path, folder=tmp_path / "weights")

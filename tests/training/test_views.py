@@ -101,6 +101,15 @@ def test_a_shrunken_view_keeps_sparse_readings_as_the_system_does(scenes):
         assert set(np.rint(1000 * seen[seen > 0]).astype(int)) <= set(depth[0][depth[0] > 0].tolist())
 
 
+def test_where_a_centre_lies_between_two_pixels_a_view_takes_the_one_that_the_system_takes(scenes):
+    numbered = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64) + 500
+    kinds = (numbered % 3).astype(np.uint8)
+    marked = replace(scenes, depth=np.stack([numbered] * 2), material=np.stack([kinds] * 2))
+    view, frame = frame_view(marked, 0, (24, 32), None), fit_frame((48, 64), (24, 32))
+    assert np.array_equal(np.rint(1000 * view.depth), frame.into(numbered.astype(np.float32)))
+    assert np.array_equal(view.material, frame.into(kinds))
+
+
 def test_views_differ_and_repeat(scenes):
     one, again, other = (frame_view(scenes, 0, (48, 64), rng(s)) for s in (3, 3, 4))
     assert np.array_equal(one.rgb, again.rgb) and not np.array_equal(one.rgb, other.rgb)
